@@ -1,0 +1,35 @@
+"""What a user did wrong, in one line: a code, a place, what was found, what is allowed.
+
+A hard moment in a step is not an error; it is the step's status (see `palmar.records.STATUS`).
+"""
+
+
+class PalmarError(Exception):
+    """Bad input from outside. `str()` is the line to show: `E-CODE where: what was found, what is allowed`.
+
+    code: such as "E-MESH-OPEN"; where: file and place inside it, or the flag or key.
+    """
+
+    exit_code = 2
+
+    def __init__(self, code: str, where: str, message: str) -> None:
+        super().__init__(f"{code} {where}: {message}")
+        self.code = code
+        self.where = where
+        self.message = message
+
+
+class BadMesh(PalmarError):
+    """A mesh that cannot become a SphereTree as it is."""
+
+
+class BadPack(PalmarError):
+    """A pack or hand file that breaks its format."""
+
+
+class BadTrace(PalmarError):
+    """A trace or run that breaks its format."""
+
+
+class GloveError(PalmarError):
+    """A device that cannot be read."""
