@@ -1,0 +1,193 @@
+"""What a pack holds: one HandModel and named objects, each a SphereTree with its true mesh. Format: docs/formats.md."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palmar.errors import BadPack
+
+FINGERS = ("thumb", "index", "middle", "ring", "little")
+JOINTS = ("MCP", "PIP", "DIP")
+PACK_SCHEMA = "palmar.pack/1"
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HandModel:
+    """The hybrid hand: palm spheres and fifteen tapered phalanges, in the palm frame at the zero pose. SI units."""
+
+    palm_spheres_m: Array  # (p, 4)
+    joint_m: Array  # (5, 3, 3)
+    flexion_axis: Array  # (5, 3, 3)
+    abduction_axis: Array  # (5, 3)
+    phalanx_m: Array  # (5, 3, 2, 3)
+    phalanx_radius_m: Array  # (5, 3, 2)
+    flexion_limit_rad: Array  # (5, 3, 2)
+    abduction_limit_rad: Array  # (5, 2)
+    joint_stiffness_n_m_per_rad: Array  # (5, 3)
+    palm_stiffness_n_per_m: Array  # (1,)
+    palm_rotation_stiffness_n_m_per_rad: Array  # (1,)
+    about: dict[str, Any] = field(default_factory=dict)  # name, side, source, sha256
+
+
+HAND_SHAPES: dict[str, tuple[int | None, ...]] = {
+    "palm_spheres_m": (None, 4),
+    "joint_m": (5, 3, 3),
+    "flexion_axis": (5, 3, 3),
+    "abduction_axis": (5, 3),
+    "phalanx_m": (5, 3, 2, 3),
+    "phalanx_radius_m": (5, 3, 2),
+    "flexion_limit_rad": (5, 3, 2),
+    "abduction_limit_rad": (5, 2),
+    "joint_stiffness_n_m_per_rad": (5, 3),
+    "palm_stiffness_n_per_m": (1,),
+    "palm_rotation_stiffness_n_m_per_rad": (1,),
+}
+
+
+@dataclass(frozen=True)
+class SphereTree:
+    """One body as levels of spheres, coarse to fine; the last level, the leaves, is the collision shape."""
+
+    levels: list[Array]  # each (n_k, 4): x, y, z, radius in metres
+    parents: list[NDArray[np.int32]]  # each (n_k,): index into the level above; -1 on level 0
+    vertices_m: Array  # (v, 3) the true mesh
+    faces: NDArray[np.int32]  # (f, 3)
+    about: dict[str, Any] = field(default_factory=dict)  # source, sha256, parameters, errors of each level
+
+    @property
+    def leaves(self) -> Array:
+        return self.levels[-1]
+
+
+@dataclass(frozen=True)
+class AssetPack:
+    """One HandModel and named objects."""
+
+    hand: HandModel
+    objects: dict[str, SphereTree]
+    manifest: dict[str, Any]
+    sha256: str = ""
+
+
+def save_pack(path: str | Path, pack: AssetPack) -> str:
+    """Write a pack and return its sha256. The file appears whole or not at all.
+
+    The manifest's "hand" and "objects" are taken from `about` of each part. Raises BadPack if the content breaks the format.
+    """
+    from safetensors.numpy import save
+
+    tensors: dict[str, NDArray[Any]] = {}
+    for name in HAND_SHAPES:
+        tensors[f"hand/{name}"] = np.ascontiguousarray(getattr(pack.hand, name), dtype=np.float64)
+    for name, tree in pack.objects.items():
+        for k, (spheres, parent) in enumerate(zip(tree.levels, tree.parents, strict=True)):
+            tensors[f"object/{name}/level_{k}/spheres_m"] = np.ascontiguousarray(spheres, dtype=np.float64)
+            tensors[f"object/{name}/level_{k}/parent"] = np.ascontiguousarray(parent, dtype=np.int32)
+        tensors[f"object/{name}/vertices_m"] = np.ascontiguousarray(tree.vertices_m, dtype=np.float64)
+        tensors[f"object/{name}/faces"] = np.ascontiguousarray(tree.faces, dtype=np.int32)
+    manifest = dict(pack.manifest)
+    manifest["schema"] = PACK_SCHEMA
+    manifest["hand"] = pack.hand.about
+    manifest["objects"] = {name: tree.about for name, tree in pack.objects.items()}
+    _check(str(path), tensors, manifest)
+    content = save(tensors, {"palmar": json.dumps(manifest, sort_keys=True, allow_nan=False)})
+    write_whole(path, content)
+    return hashlib.sha256(content).hexdigest()
+
+
+def load_pack(path: str | Path) -> AssetPack:
+    """Read a pack. Raises BadPack that names the file, the tensor and what is allowed."""
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    where = str(path)
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise BadPack("E-PACK-MISSING", where, f"{error.strerror}; a file written by `palmar build` is needed") from None
+    try:
+        tensors = load(content)
+        length = int.from_bytes(content[:8], "little")
+        metadata = json.loads(content[8 : 8 + length]).get("__metadata__", {})
+    except (SafetensorError, ValueError) as error:
+        raise BadPack("E-PACK-FORMAT", where, f"not a whole safetensors file ({error})") from None
+    try:
+        manifest = json.loads(metadata["palmar"])
+    except (KeyError, ValueError):
+        raise BadPack("E-PACK-FORMAT", where, "no manifest under the metadata key `palmar`") from None
+    _check(where, tensors, manifest)
+
+    hand = HandModel(**{name: tensors[f"hand/{name}"] for name in HAND_SHAPES}, about=manifest["hand"])
+    objects = {}
+    for name, about in manifest["objects"].items():
+        count = len(about["levels"])
+        objects[name] = SphereTree(
+            levels=[tensors[f"object/{name}/level_{k}/spheres_m"] for k in range(count)],
+            parents=[tensors[f"object/{name}/level_{k}/parent"] for k in range(count)],
+            vertices_m=tensors[f"object/{name}/vertices_m"],
+            faces=tensors[f"object/{name}/faces"],
+            about=about,
+        )
+    return AssetPack(hand, objects, manifest, hashlib.sha256(content).hexdigest())
+
+
+def write_whole(path: str | Path, content: bytes) -> None:
+    """Write a file so that it appears under its name only when it is complete."""
+    path = Path(path)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as out:
+            out.write(content)
+        # mkstemp makes files private; a result is shared like any other file.
+        umask = os.umask(0)
+        os.umask(umask)
+        Path(temporary).chmod(0o666 & ~umask)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def _check(where: str, tensors: dict[str, NDArray[Any]], manifest: dict[str, Any]) -> None:
+    """Raise BadPack unless names, shapes and values are what docs/formats.md says."""
+    if manifest.get("schema") != PACK_SCHEMA:
+        raise BadPack("E-PACK-VERSION", where, f"schema {manifest.get('schema')!r}; this version reads {PACK_SCHEMA!r}")
+    expected: dict[str, tuple[tuple[int | None, ...], str]] = {
+        f"hand/{name}": (shape, "float64") for name, shape in HAND_SHAPES.items()
+    }
+    for name, about in manifest["objects"].items():
+        for k in range(len(about["levels"])):
+            expected[f"object/{name}/level_{k}/spheres_m"] = ((None, 4), "float64")
+            expected[f"object/{name}/level_{k}/parent"] = ((None,), "int32")
+        expected[f"object/{name}/vertices_m"] = ((None, 3), "float64")
+        expected[f"object/{name}/faces"] = ((None, 3), "int32")
+    for name in expected.keys() - tensors.keys():
+        raise BadPack("E-PACK-MISSING", f"{where}:{name}", "tensor is not in the file")
+    for name in tensors.keys() - expected.keys():
+        raise BadPack("E-PACK-EXTRA", f"{where}:{name}", "tensor is not part of the format")
+    for name, (shape, dtype) in expected.items():
+        tensor = tensors[name]
+        fits = tensor.ndim == len(shape) and all(
+            want is None or have == want for have, want in zip(tensor.shape, shape, strict=True)
+        )
+        if not fits or tensor.dtype != dtype:
+            raise BadPack("E-PACK-SHAPE", f"{where}:{name}", f"{tensor.dtype} {tensor.shape}; {dtype} {shape} is needed")
+        if dtype == "float64" and not np.isfinite(tensor).all():
+            at = np.argwhere(~np.isfinite(tensor))[0]
+            raise BadPack("E-PACK-VALUE", f"{where}:{name}{at.tolist()}", "not a finite number")
+        if name.endswith("spheres_m") and not (tensor[:, 3] > 0).all():
+            at = int(np.argmin(tensor[:, 3]))
+            raise BadPack("E-PACK-VALUE", f"{where}:{name}[{at}]", f"radius {tensor[at, 3]:g} m; radii are above 0")
+
+
