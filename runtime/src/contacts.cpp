@@ -1,0 +1,146 @@
+#include "contacts.h"
+
+#include <limits>
+
+namespace palmar {
+
+namespace {
+
+constexpr int kFoundCapacity = 8192;
+
+std::vector<Sphere> palm_spheres(const HandModel& hand) {
+  std::vector<Sphere> spheres;
+  for (const PalmSphere& s : hand.palm) spheres.push_back({s.center, s.radius});
+  return spheres;
+}
+
+}  // namespace
+
+Candidates::Candidates(int capacity) : pairs(capacity), found(kFoundCapacity) {}
+
+PalmTree::PalmTree(const HandModel& hand) : tree(palm_spheres(hand)) {}
+
+bool gather_candidates(const HandModel& hand, const PalmTree& palm, const CollisionObject& object,
+                       const HandPlacement& at, double margin, Candidates& out, std::uint32_t& visited) {
+  const int capacity = int(out.pairs.size());
+  out.from = at;
+  out.margin = margin;
+  out.count = 0;
+  out.link_start.fill(0);
+
+  // Palm: object spheres near its box, then each against the palm's own tree, in the palm's frame.
+  const Vec3 half = 0.5 * (hand.palm_high - hand.palm_low);
+  const Vec3 middle = at.rotation * (0.5 * (hand.palm_low + hand.palm_high)) + at.position;
+  BoxQuery box;
+  box.cx = float(middle.x()), box.cy = float(middle.y()), box.cz = float(middle.z());
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3; ++k) box.m[3 * i + k] = float(at.rotation(k, i));
+  box.hx = float(half.x()), box.hy = float(half.y()), box.hz = float(half.z());
+  box.radius = float(hand.palm_radius_max + margin);
+  const int near_palm = object.tree.find(box, out.found.data(), kFoundCapacity / 2, visited);
+  if (near_palm > kFoundCapacity / 2) return false;
+  std::uint32_t* const touched = out.found.data() + kFoundCapacity / 2;
+  for (int i = 0; i < near_palm; ++i) {
+    const Sphere& sphere = object.leaves[out.found[i]];
+    const Vec3 in_palm = at.rotation.transpose() * (sphere.center - at.position);
+    const int count = palm.tree.find(ball_query(in_palm, sphere.radius, margin + object.tree.slack()), touched,
+                                     kFoundCapacity / 2, visited);
+    for (int k = 0; k < count; ++k) {
+      const PalmSphere& mine = hand.palm[touched[k]];
+      if ((mine.center - in_palm).norm() - mine.radius - sphere.radius > margin) continue;
+      if (out.count == capacity) return false;
+      out.pairs[out.count++] = {sphere.center, sphere.radius, out.found[i], touched[k]};
+    }
+  }
+  out.link_start[1] = out.count;
+
+  for (int link = 1; link < kLinks; ++link) {
+    const Capsule& c = at.phalanx[link - 1];
+    const int count = object.tree.find(capsule_query(c.c1, c.c2, c.r1, c.r2, margin), out.found.data(), kFoundCapacity,
+                                       visited);
+    if (count > kFoundCapacity) return false;
+    for (int i = 0; i < count; ++i) {
+      const Sphere& sphere = object.leaves[out.found[i]];
+      if (out.count == capacity) return false;
+      out.pairs[out.count++] = {sphere.center, sphere.radius, out.found[i], UINT32_MAX};
+    }
+    out.link_start[link + 1] = out.count;
+  }
+  return true;
+}
+
+double evaluate_gaps(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, double* gap) {
+  double least = std::numeric_limits<double>::infinity();
+  for (int i = 0; i < candidates.link_start[1]; ++i) {
+    const Candidates::Pair& p = candidates.pairs[i];
+    const PalmSphere& mine = hand.palm[p.palm_sphere];
+    gap[i] = (at.rotation * mine.center + at.position - p.center).norm() - mine.radius - p.radius;
+    least = std::min(least, gap[i]);
+  }
+  for (int link = 1; link < kLinks; ++link) {
+    const int begin = candidates.link_start[link], end = candidates.link_start[link + 1];
+    if (begin == end) continue;
+    const Capsule& c = at.phalanx[link - 1];
+    for (int i = begin; i < end; ++i) {
+      gap[i] = capsule_sphere_gap(c, candidates.pairs[i].center, candidates.pairs[i].radius).gap;
+      least = std::min(least, gap[i]);
+    }
+  }
+  return least;
+}
+
+bool linearise(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, const double* gap,
+               double limit, double aim, bool push_out, QpRows& rows, std::int32_t* row_candidate) {
+  rows.count = 0;
+  rows.group_start.fill(0);
+  const auto put_palm = [&](int row, const Vec3& point, const Vec3& normal) {
+    // A turn w of the palm moves a point by w x (point - origin), so its share of the gap is (point - origin) x normal.
+    const Vec3 turn = (point - at.position).cross(normal);
+    for (int k = 0; k < 3; ++k) {
+      rows.g[k][row] = normal[k];
+      rows.g[3 + k][row] = turn[k];
+    }
+  };
+  const auto put_bound = [&](int row, double g) {
+    const double room = g - aim;
+    rows.b[row] = push_out ? -room : -std::max(room, 0.0);
+  };
+  for (int i = 0; i < candidates.link_start[1]; ++i) {
+    if (gap[i] > limit) continue;
+    if (rows.count == rows.capacity) return false;
+    const Candidates::Pair& p = candidates.pairs[i];
+    const Vec3 center = at.rotation * hand.palm[p.palm_sphere].center + at.position;
+    const Vec3 away = center - p.center;
+    const double distance = away.norm();
+    const Vec3 normal = distance > 0 ? Vec3(away / distance) : Vec3(0, 0, 1);
+    put_palm(rows.count, center, normal);
+    put_bound(rows.count, gap[i]);
+    row_candidate[rows.count++] = i;
+  }
+  for (int f = 0; f < kFingers; ++f) {
+    rows.group_start[f + 1] = rows.count;
+    for (int phalanx = 0; phalanx < kPhalanges; ++phalanx) {
+      const int link = 1 + 3 * f + phalanx;
+      for (int i = candidates.link_start[link]; i < candidates.link_start[link + 1]; ++i) {
+        if (gap[i] > limit) continue;
+        if (rows.count == rows.capacity) return false;
+        const CapsuleGap c = capsule_sphere_gap(at.phalanx[link - 1], candidates.pairs[i].center, candidates.pairs[i].radius);
+        const int row = rows.count++;
+        put_palm(row, c.axis, c.normal);
+        const auto turn_about = [&](const Vec3& axis, const Vec3& joint) {
+          return axis.dot((c.axis - joint).cross(c.normal));
+        };
+        rows.g[kPalmVariables][row] = turn_about(at.abduction_axis[f], at.joint[f][0]);
+        for (int j = 0; j < kPhalanges; ++j)
+          rows.g[kPalmVariables + 1 + j][row] =
+              j <= phalanx ? turn_about(at.flexion_axis[f][j], at.joint[f][j]) : 0.0;
+        put_bound(row, gap[i]);
+        row_candidate[row] = i;
+      }
+    }
+  }
+  rows.group_start[kFingers + 1] = rows.count;
+  return true;
+}
+
+}  // namespace palmar

@@ -1,0 +1,25 @@
+// What the user feels, from where the two hands are. All in the frame that the placements are given in.
+#pragma once
+
+#include "contacts.h"
+#include "hand.h"
+
+namespace palmar {
+
+struct Forces {
+  Vec3 palm_force{0, 0, 0};
+  Vec3 palm_torque{0, 0, 0};
+  std::array<double, 15> joint_torque{};
+  std::array<Vec3, kFingers> fingertip;
+};
+
+// F = G (q_g - q_h), Eqs. 1 and 2, and the paper's fingertip normal force F_N: palm_stiffness times the part of the way
+// from haptic to graphic fingertip that is across the graphic distal phalanx (the vector EB2 of Fig. 9b).
+Forces spring_forces(const HandModel& hand, const Configuration& graphic, const HandPlacement& graphic_at,
+                     const Configuration& haptic, const HandPlacement& haptic_at);
+
+// The paper's Eq. 14 for one contact: stiffness |p_g - p_h| along the normal, p_h the same material point on the haptic hand.
+Vec3 equation14_force(const HandModel& hand, int link, const Vec3& point, const Vec3& normal,
+                      const HandPlacement& graphic_at, const HandPlacement& haptic_at);
+
+}  // namespace palmar

@@ -1,0 +1,249 @@
+#include "qp.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__SANITIZE_ADDRESS__)
+#define PALMAR_WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define PALMAR_WIDE
+#endif
+
+namespace palmar {
+
+namespace {
+
+constexpr int kRowVariables = kPalmVariables + kFingerVariables;
+
+struct ActiveRow {
+  double g[kRowVariables];
+  int finger;
+  double b;
+  std::int32_t row;  // index of a row, or -1 - (2 variable + side) for a bound
+};
+
+// violation[i] = b[i] - g[i] . x for rows of one group.
+PALMAR_WIDE void group_violations(const double* const* g, const double* b, const double* x, int begin, int end,
+                                  int variables, double* violation) {
+  for (int i = begin; i < end; ++i) violation[i] = b[i];
+  for (int k = 0; k < variables; ++k) {
+    const double* gk = g[k];
+    const double xk = x[k];
+    for (int i = begin; i < end; ++i) violation[i] -= gk[i] * xk;
+  }
+}
+
+struct Solver {
+  const QpProblem& problem;
+  const QpRows& rows;
+  double tolerance;
+  double* violation;
+
+  std::array<ActiveRow, kVariables> active;
+  int count = 0;
+  double s[kVariables][kVariables];  // A H^-1 A' of the active rows (lower part)
+  double l[kVariables][kVariables];  // its Cholesky factor
+  std::array<double, kVariables> u;  // multipliers
+
+  const double* weight_of(int finger) const { return &problem.inverse_weight[kPalmVariables + kFingerVariables * finger]; }
+
+  double product(const ActiveRow& p, const ActiveRow& q) const {
+    double sum = 0;
+    for (int k = 0; k < kPalmVariables; ++k) sum += p.g[k] * q.g[k] * problem.inverse_weight[k];
+    if (p.finger >= 0 && p.finger == q.finger) {
+      const double* w = weight_of(p.finger);
+      for (int k = 0; k < kFingerVariables; ++k)
+        sum += p.g[kPalmVariables + k] * q.g[kPalmVariables + k] * w[k];
+    }
+    return sum;
+  }
+
+  double value(const ActiveRow& p, const Change& x) const {
+    double sum = 0;
+    for (int k = 0; k < kPalmVariables; ++k) sum += p.g[k] * x[k];
+    if (p.finger >= 0)
+      for (int k = 0; k < kFingerVariables; ++k)
+        sum += p.g[kPalmVariables + k] * x[kPalmVariables + kFingerVariables * p.finger + k];
+    return sum;
+  }
+
+  // x += t H^-1 (n - A' r)
+  void move(Change& x, const ActiveRow& n, const double* r, double t) const {
+    Change z{};
+    const auto add = [&](const ActiveRow& p, double by) {
+      for (int k = 0; k < kPalmVariables; ++k) z[k] += by * p.g[k];
+      if (p.finger >= 0)
+        for (int k = 0; k < kFingerVariables; ++k)
+          z[kPalmVariables + kFingerVariables * p.finger + k] += by * p.g[kPalmVariables + k];
+    };
+    add(n, 1.0);
+    for (int j = 0; j < count; ++j) add(active[j], -r[j]);
+    for (int v = 0; v < kVariables; ++v) x[v] += t * problem.inverse_weight[v] * z[v];
+  }
+
+  void factor_from(int first) {
+    for (int i = first; i < count; ++i) {
+      for (int j = 0; j <= i; ++j) {
+        double sum = s[i][j];
+        for (int k = 0; k < j; ++k) sum -= l[i][k] * l[j][k];
+        l[i][j] = i == j ? std::sqrt(std::max(sum, std::numeric_limits<double>::min())) : sum / l[j][j];
+      }
+    }
+  }
+
+  void drop(int j) {
+    for (int i = j + 1; i < count; ++i) {
+      active[i - 1] = active[i];
+      u[i - 1] = u[i];
+      for (int k = 0; k < j; ++k) s[i - 1][k] = s[i][k];
+      for (int k = j + 1; k <= i; ++k) s[i - 1][k - 1] = s[i][k];
+    }
+    --count;
+    factor_from(j);
+  }
+
+  ActiveRow row_at(int i, int finger) const {
+    ActiveRow p;
+    for (int k = 0; k < kRowVariables; ++k) p.g[k] = rows.g[k][i];
+    p.finger = finger;
+    p.b = rows.b[i];
+    p.row = i;
+    return p;
+  }
+
+  ActiveRow bound_at(int v, bool upper) const {
+    ActiveRow p{};
+    p.finger = v < kPalmVariables ? -1 : (v - kPalmVariables) / kFingerVariables;
+    const int k = v < kPalmVariables ? v : kPalmVariables + (v - kPalmVariables) % kFingerVariables;
+    p.g[k] = upper ? -1.0 : 1.0;
+    p.b = upper ? -upper_of(v) : lower_of(v);
+    p.row = -1 - (2 * v + (upper ? 1 : 0));
+    return p;
+  }
+
+  double upper_of(int v) const { return std::min(problem.bound[v], problem.upper[v]); }
+  double lower_of(int v) const { return std::max(-problem.bound[v], problem.lower[v]); }
+
+  // The row that x breaks most, if by more than the tolerance. Ties go to the lowest index.
+  bool most_violated(const Change& x, ActiveRow& worst) const {
+    double most = tolerance;
+    int row = -1, finger = -1;
+    const double* g[kRowVariables];
+    for (int k = 0; k < kRowVariables; ++k) g[k] = rows.g[k].data();
+    double point[kRowVariables];
+    std::copy_n(x.begin(), kPalmVariables, point);
+    for (int group = 0; group <= kFingers; ++group) {
+      const int begin = rows.group_start[group], end = rows.group_start[group + 1];
+      if (begin == end) continue;
+      if (group > 0)
+        std::copy_n(x.begin() + kPalmVariables + kFingerVariables * (group - 1), kFingerVariables, point + kPalmVariables);
+      group_violations(g, rows.b.data(), point, begin, end, group > 0 ? kRowVariables : kPalmVariables, violation);
+      for (int i = begin; i < end; ++i) {
+        if (violation[i] > most) {
+          most = violation[i];
+          row = i;
+          finger = group - 1;
+        }
+      }
+    }
+    if (row >= 0) {
+      worst = row_at(row, finger);
+      return true;
+    }
+    // Bounds only once every row holds: contacts decide most answers, and a bound taken first would be dropped again.
+    int bound = -1;
+    bool upper = false;
+    for (int v = 0; v < kVariables; ++v) {
+      // A bound in radians counts as its sweep at 50 mm, so that the tolerance stays in metres.
+      const double lever = v < 3 ? 1.0 : 0.05;
+      const double over = (x[v] - upper_of(v)) * lever, under = (lower_of(v) - x[v]) * lever;
+      if (over > most) most = over, bound = v, upper = true;
+      if (under > most) most = under, bound = v, upper = false;
+    }
+    if (bound >= 0) worst = bound_at(bound, upper);
+    return bound >= 0;
+  }
+};
+
+}  // namespace
+
+QpRows::QpRows(int capacity_) : capacity(capacity_), b(capacity_) {
+  for (auto& column : g) column.resize(capacity_);
+}
+
+QpResult solve_qp(const QpProblem& problem, const QpRows& rows, double tolerance, int iteration_limit,
+                  double* violation) {
+  Solver solver{problem, rows, tolerance, violation, {}, 0, {}, {}, {}};
+  QpResult result;
+  result.x = problem.target;
+  const auto finish = [&](QpStatus status) {
+    result.status = status;
+    result.active = solver.count;
+    for (int j = 0; j < solver.count; ++j) {
+      result.active_row[j] = solver.active[j].row >= 0 ? solver.active[j].row : -1;
+      result.multiplier[j] = solver.u[j];
+    }
+    return result;
+  };
+
+  ActiveRow n;
+  while (solver.most_violated(result.x, n)) {
+    double u_new = 0;
+    for (;;) {
+      if (++result.iterations > iteration_limit) return finish(QpStatus::iteration_limit);
+      // w = L^-1 A H^-1 n and r = L^-T w: how the active multipliers answer to one unit of the new row's.
+      const int q = solver.count;
+      double column[kVariables], w[kVariables], r[kVariables];
+      for (int j = 0; j < q; ++j) column[j] = solver.product(solver.active[j], n);
+      const double own = solver.product(n, n);
+      double curvature = own;
+      for (int j = 0; j < q; ++j) {
+        double sum = column[j];
+        for (int k = 0; k < j; ++k) sum -= solver.l[j][k] * w[k];
+        w[j] = sum / solver.l[j][j];
+        curvature -= w[j] * w[j];
+      }
+      for (int j = q; j-- > 0;) {
+        double sum = w[j];
+        for (int k = j + 1; k < q; ++k) sum -= solver.l[k][j] * r[k];
+        r[j] = sum / solver.l[j][j];
+      }
+      // Below 1e-10 of its own length the new row is a combination of the active ones: twice the digits that the
+      // factor of S keeps.
+      const bool dependent = curvature <= 1e-10 * own || q == kVariables;
+
+      double partial = std::numeric_limits<double>::infinity();
+      int blocking = -1;
+      for (int j = 0; j < q; ++j) {
+        if (r[j] > 0 && solver.u[j] / r[j] < partial) {
+          partial = solver.u[j] / r[j];
+          blocking = j;
+        }
+      }
+      if (dependent && blocking < 0) return finish(QpStatus::infeasible);
+      const double full = dependent ? std::numeric_limits<double>::infinity()
+                                    : (n.b - solver.value(n, result.x)) / curvature;
+      const double t = std::min(partial, full);
+      if (!dependent) solver.move(result.x, n, r, t);
+      for (int j = 0; j < q; ++j) solver.u[j] -= t * r[j];
+      u_new += t;
+      if (full <= partial) {
+        solver.active[q] = n;
+        solver.u[q] = u_new;
+        for (int j = 0; j < q; ++j) {
+          solver.s[q][j] = column[j];
+          solver.l[q][j] = w[j];
+        }
+        solver.s[q][q] = own;
+        solver.l[q][q] = std::sqrt(curvature);
+        ++solver.count;
+        break;
+      }
+      solver.drop(blocking);
+    }
+  }
+  return finish(QpStatus::solved);
+}
+
+}  // namespace palmar

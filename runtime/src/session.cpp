@@ -1,0 +1,224 @@
+#include "session.h"
+
+#include <algorithm>
+#include <cstring>
+
+#include "error.h"
+
+namespace palmar {
+
+namespace {
+
+constexpr int kContactCapacity = 512;
+constexpr double kContactGap = 1e-5;  // metres; a pair this near counts as a contact: ten times what a row aims at
+
+bool finite(const double* v, int n) {
+  for (int i = 0; i < n; ++i)
+    if (!std::isfinite(v[i])) return false;
+  return true;
+}
+
+bool finite_unit(const std::array<double, 4>& q) {
+  if (!finite(q.data(), 4)) return false;
+  const double n = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+  return std::abs(n - 1.0) < 1e-2;
+}
+
+// FNV-1a over raw bytes.
+void mix(std::uint64_t& hash, const void* bytes, std::size_t size) {
+  const unsigned char* b = static_cast<const unsigned char*>(bytes);
+  for (std::size_t i = 0; i < size; ++i) hash = (hash ^ b[i]) * 1099511628211ull;
+}
+
+SolveFunction find_solver(const std::string& name) {
+  std::string known;
+  for (const SolverRow& row : SOLVERS) {
+    if (name == row.name) return row.solve;
+    known += std::string(known.empty() ? "" : ", ") + row.name;
+  }
+  throw Error("E-CONF-VALUE", "solver", "no solver is called '" + name + "'; there are: " + known);
+}
+
+}  // namespace
+
+Workspace::Workspace(const Settings& s)
+    : candidates(s.candidates),
+      gap(s.candidates),
+      trial_gap(s.candidates),
+      violation(s.candidates),
+      rows(s.candidates),
+      row_candidate(s.candidates) {}
+
+Session::Session(HandModel hand, std::vector<Sphere> object, Settings settings)
+    : hand_(std::move(hand)),
+      palm_(hand_),
+      object_(std::move(object)),
+      settings_(std::move(settings)),
+      solve_(find_solver(settings_.solver)),
+      work_(settings_),
+      contacts_(kContactCapacity) {}
+
+bool Session::usable(const Sample& s) const {
+  return s.tracked && std::isfinite(s.time_s) && finite(s.pose.palm.position_m.data(), 3) &&
+         finite_unit(s.pose.palm.rotation_wxyz) && finite(s.pose.flexion_rad.data(), 15) &&
+         finite(s.pose.abduction_rad.data(), 5) && finite(s.object.position_m.data(), 3) &&
+         finite_unit(s.object.rotation_wxyz);
+}
+
+Configuration Session::inside_limits(Configuration q, bool& clipped) const {
+  clipped = false;
+  const auto clip = [&](double& angle, const std::array<double, 2>& limit) {
+    const double inside = std::clamp(angle, limit[0], limit[1]);
+    clipped |= inside != angle;
+    angle = inside;
+  };
+  for (int f = 0; f < kFingers; ++f) {
+    clip(q.abduction[f], hand_.finger[f].abduction_limit);
+    for (int j = 0; j < kPhalanges; ++j) clip(q.flexion[f][j], hand_.finger[f].flexion_limit[j]);
+  }
+  return q;
+}
+
+// The first pose: the haptic hand where it is free, else the nearest free place of the same hand found by moving it out
+// along 26 directions, growing steps, nearest first. True if it had to be moved.
+bool Session::start_at(const Configuration& haptic) {
+  std::uint32_t visited = 0;
+  const auto free = [&](const Configuration& q) {
+    state_.graphic = q;
+    state_.placement = place_hand(hand_, q);
+    return gather_candidates(hand_, palm_, object_, state_.placement, 0.0, work_.candidates, visited) &&
+           evaluate_gaps(hand_, work_.candidates, state_.placement, work_.gap.data()) >= 0;
+  };
+  state_.started = true;
+  state_.reach = settings_.reach_least_m;
+  if (free(haptic)) return false;
+  // Beyond this the hand's ball and the object's ball are apart.
+  const double far = (haptic.position - object_.center).norm() + hand_.reach + object_.radius;
+  for (double out = 1e-3; out < 2 * far + 1e-2; out *= 1.15) {
+    for (int d = 0; d < 27; ++d) {
+      const Vec3 direction(d % 3 - 1, d / 3 % 3 - 1, d / 9 - 1);
+      if (direction.isZero()) continue;
+      Configuration q = haptic;
+      q.position += out * direction.normalized();
+      if (free(q)) return true;
+    }
+  }
+  return true;
+}
+
+const StepResult& Session::step(const Sample& sample) {
+  work_.operations = 0;
+  work_.search_us = work_.solve_us = work_.verify_us = 0;
+  std::uint32_t status = kOk;
+  if (usable(sample)) {
+    // The solver works in the object's frame, where a moving object stands still and the hand carries its motion.
+    placed_ = sample.object;
+    haptic_pose_ = sample.pose;
+    const Quat object_rotation = to_quat(placed_.rotation_wxyz).normalized();
+    Configuration q = to_configuration(sample.pose);
+    q.position = object_rotation.conjugate() * (q.position - to_vec3(placed_.position_m));
+    q.rotation = (object_rotation.conjugate() * q.rotation).normalized();
+    bool clipped;
+    haptic_ = inside_limits(q, clipped);
+    if (clipped) status |= kLimit;
+    if (!state_.started && start_at(haptic_)) status |= kRecovering;
+    status |= solve_({hand_, palm_, object_, settings_}, haptic_, state_, work_);
+  } else {
+    status |= kBadSample;
+    work_.active_count = 0;
+    work_.candidates.count = 0;
+  }
+  result_.time_s = sample.time_s;
+  result_.status = status;
+  report(haptic_);
+  return result_;
+}
+
+// Poses, forces and contacts of the state, turned from the object's frame into the world's.
+void Session::report(const Configuration& haptic) {
+  const Quat turn = to_quat(placed_.rotation_wxyz).normalized();
+  const Vec3 shift = to_vec3(placed_.position_m);
+  const bool identity = placed_.rotation_wxyz == std::array<double, 4>{1, 0, 0, 0};
+  const auto direction = [&](const Vec3& v) { return identity ? v : Vec3(turn * v); };
+  const auto point = [&](const Vec3& p) { return Vec3(direction(p) + shift); };
+
+  Configuration world = state_.graphic;
+  world.position = point(world.position);
+  if (!identity) world.rotation = turn * world.rotation;
+  result_.graphic = to_pose(world);
+  result_.haptic = haptic_pose_;
+  result_.object = placed_;
+  result_.operations = work_.operations;
+
+  const HandPlacement haptic_at = place_hand(hand_, haptic);
+  const Forces forces = spring_forces(hand_, state_.graphic, state_.placement, haptic, haptic_at);
+  result_.palm_force_n = to_array(direction(forces.palm_force));
+  result_.palm_torque_n_m = to_array(direction(forces.palm_torque));
+  result_.joint_torque_n_m = forces.joint_torque;
+  for (int f = 0; f < kFingers; ++f) {
+    const Vec3 tip = direction(forces.fingertip[f]);
+    std::copy_n(tip.data(), 3, &result_.fingertip_force_n[3 * f]);
+  }
+
+  std::array<Vec3, kFingers> eq14;
+  eq14.fill(Vec3::Zero());
+  std::uint32_t count = 0;
+  const Candidates& candidates = work_.candidates;
+  for (int link = 0; link < kLinks; ++link) {
+    for (int i = candidates.link_start[link]; i < std::min(candidates.link_start[link + 1], candidates.count); ++i) {
+      if (work_.gap[i] > kContactGap || count == kContactCapacity) continue;
+      const Candidates::Pair& pair = candidates.pairs[i];
+      Contact& contact = contacts_[count++];
+      contact.link = std::uint8_t(link);
+      contact.object_sphere = pair.object_sphere;
+      contact.palm_sphere = pair.palm_sphere;
+      contact.gap_m = work_.gap[i];
+      contact.force_n = 0;
+      for (int k = 0; k < work_.active_count; ++k)
+        if (work_.active[k].candidate == i)
+          contact.force_n = work_.active[k].multiplier / (link == 0 ? settings_.palm_priority : 1.0);
+      Vec3 center, normal;
+      double radius;
+      if (link == 0) {
+        const PalmSphere& mine = hand_.palm[pair.palm_sphere];
+        center = state_.placement.rotation * mine.center + state_.placement.position;
+        radius = mine.radius;
+        normal = (center - pair.center).normalized();
+      } else {
+        const CapsuleGap c = capsule_sphere_gap(state_.placement.phalanx[link - 1], pair.center, pair.radius);
+        center = c.axis, radius = c.radius, normal = c.normal;
+      }
+      const Vec3 on_hand = center - radius * normal;
+      contact.point_m = to_array(point(on_hand));
+      contact.normal = to_array(direction(normal));
+      if (link > 0)
+        eq14[(link - 1) / kPhalanges] += equation14_force(hand_, link, on_hand, normal, state_.placement, haptic_at);
+    }
+  }
+  result_.contacts = count;
+  for (int f = 0; f < kFingers; ++f) {
+    const Vec3 sum = direction(eq14[f]);
+    std::copy_n(sum.data(), 3, &result_.equation14_force_n[3 * f]);
+  }
+  result_.state_hash = hash_state();
+}
+
+std::uint64_t Session::hash_state() const {
+  std::uint64_t hash = 14695981039346656037ull;
+  mix(hash, state_.graphic.position.data(), 24);
+  mix(hash, state_.graphic.rotation.coeffs().data(), 32);
+  mix(hash, state_.graphic.abduction.data(), sizeof state_.graphic.abduction);
+  mix(hash, state_.graphic.flexion.data(), sizeof state_.graphic.flexion);
+  mix(hash, &state_.reach, sizeof state_.reach);
+  return hash;
+}
+
+Timing Session::timing() const {
+  Timing t;
+  t.search_us = work_.search_us;
+  t.solve_us = work_.solve_us;
+  t.verify_us = work_.verify_us;
+  return t;
+}
+
+}  // namespace palmar

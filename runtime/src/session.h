@@ -1,0 +1,48 @@
+// A pack's hand and one object, settings, and the last answer: the thing you step.
+#pragma once
+
+#include <memory>
+#include <span>
+
+#include "pack_file.h"
+#include "solver.h"
+
+namespace palmar {
+
+class Session {
+ public:
+  // Throws Error (E-CONF-...) if the settings ask for what is not there. Allocates all that a step needs.
+  Session(HandModel hand, std::vector<Sphere> object, Settings settings);
+
+  // One step towards a sample of the haptic hand. Never throws, allocates, locks, or calls the system. A sample that is not
+  // tracked or not finite leaves the hand where it is, and the status says so. The reference is valid until the next step.
+  const StepResult& step(const Sample& sample);
+
+  std::span<const Contact> contacts() const { return {contacts_.data(), std::size_t(result_.contacts)}; }
+  // search_us, solve_us and verify_us of the last step; who steps measures the whole.
+  Timing timing() const;
+  const HandModel& hand() const { return hand_; }
+  const Settings& settings() const { return settings_; }
+
+ private:
+  bool usable(const Sample& sample) const;
+  Configuration inside_limits(Configuration q, bool& clipped) const;
+  bool start_at(const Configuration& haptic);
+  void report(const Configuration& haptic);
+  std::uint64_t hash_state() const;
+
+  HandModel hand_;
+  PalmTree palm_;
+  CollisionObject object_;
+  Settings settings_;
+  SolveFunction solve_;
+  Workspace work_;
+  SolverState state_;
+  Configuration haptic_;  // last usable one, object frame
+  Placement placed_;      // world from object, of the last usable sample
+  HandPose haptic_pose_;  // as it came, world
+  StepResult result_;
+  std::vector<Contact> contacts_;
+};
+
+}  // namespace palmar

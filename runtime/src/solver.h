@@ -1,0 +1,81 @@
+// A solver moves the graphic hand one step towards the haptic hand. All solvers share this signature and these values.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "contacts.h"
+#include "force.h"
+#include "hand.h"
+#include "object.h"
+
+namespace palmar {
+
+struct Settings {
+  std::string solver = "progressive";
+  int level = -1;                  // of the object's SphereTree; -1 for the leaves
+  std::string resample = "pchip";  // of the trace onto the step times: pchip, linear, hold
+  double rate_hz = 1000;
+  int iterations = 4;              // linearise-solve-verify rounds in one step
+  int corrections = 2;             // re-linearisations at a trial pose that sinks in, in one round
+  int qp_iterations = 300;         // rows added or dropped in one programme
+  int candidates = 4096;           // pairs that one step may look at
+  double palm_priority = 1000;     // how much rather a flexion yields than the palm's position
+  double imposed_priority = 100;   // how much rather the palm's position yields than what is copied: rotation, abduction
+  double reach_least_m = 2e-4;     // how far around the hand a step looks, at least
+  double reach_most_m = 3e-3;      // and at most while anything is within it
+  double free_reach_m = 0.1;       // and where nothing is
+  double aim_m = 1e-6;             // gap that a linearised row asks for; what is published has gap >= 0
+  double settled_m = 1e-9;         // a step that would move the hand less leaves it, bit for bit
+};
+
+// Everything that the next step starts from. Poses are in the object's frame.
+struct SolverState {
+  Configuration graphic;   // verified: no gap below zero
+  HandPlacement placement; // of graphic
+  double reach = 2e-3;
+  bool started = false;
+};
+
+struct ActiveContact {
+  std::int32_t candidate;
+  double multiplier;
+};
+
+// Memory that a step works in, allocated once.
+struct Workspace {
+  explicit Workspace(const Settings& settings);
+  Candidates candidates;
+  std::vector<double> gap, trial_gap, violation;
+  QpRows rows;
+  std::vector<std::int32_t> row_candidate;
+  std::array<ActiveContact, kVariables> active;  // of the last programme that was accepted
+  int active_count = 0;
+  std::uint32_t operations = 0;  // nodes visited, gaps evaluated, rows made, programme iterations
+  double search_us = 0, solve_us = 0, verify_us = 0;
+};
+
+struct Scene {
+  const HandModel& hand;
+  const PalmTree& palm;
+  const CollisionObject& object;
+  const Settings& settings;
+};
+
+// Moves state.graphic towards `haptic` (object frame, inside the joint limits). Returns status bits. Allocates nothing.
+using SolveFunction = std::uint32_t (*)(const Scene&, const Configuration& haptic, SolverState&, Workspace&);
+
+std::uint32_t solve_progressive(const Scene& scene, const Configuration& haptic, SolverState& state, Workspace& work);
+
+struct SolverRow {
+  const char* name;
+  SolveFunction solve;
+  const char* what;
+};
+
+inline constexpr SolverRow SOLVERS[] = {
+    {"progressive", solve_progressive, "palm first, then fingers; every published pose verified"},
+};
+
+}  // namespace palmar

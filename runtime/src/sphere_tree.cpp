@@ -1,0 +1,196 @@
+#include "sphere_tree.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+// One source, the instruction set chosen when the program starts. Element-wise IEEE operations in a fixed order, so each
+// build gives the same bits.
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__SANITIZE_ADDRESS__)
+#define PALMAR_WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define PALMAR_WIDE
+#endif
+
+namespace palmar {
+
+namespace {
+
+constexpr int kMaxDepth = 16;                       // 16^16 spheres
+constexpr int kMaxStack = kMaxDepth * (kWide - 1) + 1;
+
+PALMAR_WIDE void node_gaps(const WideNode& node, const SphereQuery& q, float* gap) {
+  for (int i = 0; i < kWide; ++i) {
+    const float dx = node.x[i] - q.x, dy = node.y[i] - q.y, dz = node.z[i] - q.z;
+    const float t = dx * q.ux + dy * q.uy + dz * q.uz;
+    const float across = dx * dx + dy * dy + dz * dz - t * t;
+    const float rho2 = across > 0.0f ? across : 0.0f;
+    const float rho = __builtin_sqrtf(rho2);
+    float s = t - rho * q.tan_phi;
+    s = s > 0.0f ? s : 0.0f;
+    s = s < q.length ? s : q.length;
+    const float along = t - s;
+    gap[i] = __builtin_sqrtf(along * along + rho2) - (q.r1 - s * q.sin_phi) - node.r[i] - q.margin;
+  }
+}
+
+PALMAR_WIDE void node_gaps(const WideNode& node, const BoxQuery& q, float* gap) {
+  for (int i = 0; i < kWide; ++i) {
+    const float dx = node.x[i] - q.cx, dy = node.y[i] - q.cy, dz = node.z[i] - q.cz;
+    const float ax = q.m[0] * dx + q.m[1] * dy + q.m[2] * dz;
+    const float ay = q.m[3] * dx + q.m[4] * dy + q.m[5] * dz;
+    const float az = q.m[6] * dx + q.m[7] * dy + q.m[8] * dz;
+    float ox = (ax < 0.0f ? -ax : ax) - q.hx;
+    float oy = (ay < 0.0f ? -ay : ay) - q.hy;
+    float oz = (az < 0.0f ? -az : az) - q.hz;
+    ox = ox > 0.0f ? ox : 0.0f;
+    oy = oy > 0.0f ? oy : 0.0f;
+    oz = oz > 0.0f ? oz : 0.0f;
+    gap[i] = __builtin_sqrtf(ox * ox + oy * oy + oz * oz) - node.r[i] - q.radius;
+  }
+}
+
+// A ball around balls: centre of their box, then the farthest surface.
+Sphere bound_of(const Sphere* spheres, int count) {
+  Vec3 low = spheres[0].center, high = low;
+  for (int i = 0; i < count; ++i) {
+    const Vec3 r = Vec3::Constant(spheres[i].radius);
+    low = low.cwiseMin(spheres[i].center - r);
+    high = high.cwiseMax(spheres[i].center + r);
+  }
+  Sphere bound{0.5 * (low + high), 0};
+  for (int i = 0; i < count; ++i)
+    bound.radius = std::max(bound.radius, (spheres[i].center - bound.center).norm() + spheres[i].radius);
+  return bound;
+}
+
+}  // namespace
+
+SphereQuery capsule_query(const Vec3& c1, const Vec3& c2, double r1, double r2, double margin) {
+  const Vec3 along = c2 - c1;
+  const double length = along.norm();
+  const Vec3 u = length > 0 ? Vec3(along / length) : Vec3(1, 0, 0);
+  const double sin_phi = length > 0 ? (r1 - r2) / length : 0.0;
+  const double tan_phi = sin_phi / std::sqrt(std::max(1e-12, 1.0 - sin_phi * sin_phi));
+  return {float(c1.x()), float(c1.y()), float(c1.z()), float(u.x()),     float(u.y()),     float(u.z()),
+          float(length), float(r1),     float(sin_phi), float(tan_phi),  float(margin)};
+}
+
+SphereQuery ball_query(const Vec3& center, double radius, double margin) {
+  return capsule_query(center, center, radius, radius, margin);
+}
+
+WideTree::WideTree(const std::vector<Sphere>& spheres) {
+  std::vector<std::uint32_t> order(spheres.size());
+  std::iota(order.begin(), order.end(), 0u);
+  double extent = 0;
+  for (const Sphere& s : spheres) extent = std::max(extent, s.center.cwiseAbs().maxCoeff() + s.radius);
+  // Coordinates and a handful of sums and one root in float: 16 units in the last place of the largest number is ample.
+  slack_ = 16.0 * extent * std::numeric_limits<float>::epsilon();
+  Sphere bound;
+  root_ = build(order, 0, order.size(), spheres, bound, 1);
+}
+
+std::int32_t WideTree::build(std::vector<std::uint32_t>& order, std::size_t begin, std::size_t end,
+                             const std::vector<Sphere>& spheres, Sphere& bound, int depth) {
+  depth_ = std::max(depth_, depth);
+  // Four rounds of halving along the longest side give sixteen parts; equal halves keep the tree balanced.
+  std::array<std::size_t, kWide + 1> cut;
+  cut.fill(end);
+  cut[0] = begin;
+  const bool leaf = end - begin <= kWide;
+  int parts = 1;
+  if (leaf) {
+    parts = int(end - begin);
+    for (int i = 0; i <= parts; ++i) cut[i] = begin + i;
+  } else {
+    while (parts < kWide) {
+      for (int p = parts; p-- > 0;) {
+        const std::size_t b = cut[p], e = cut[p + 1];
+        Vec3 low = spheres[order[b]].center, high = low;
+        for (std::size_t i = b; i < e; ++i) {
+          low = low.cwiseMin(spheres[order[i]].center);
+          high = high.cwiseMax(spheres[order[i]].center);
+        }
+        int axis;
+        (high - low).maxCoeff(&axis);
+        const std::size_t middle = b + (e - b) / 2;
+        std::nth_element(order.begin() + b, order.begin() + middle, order.begin() + e,
+                         [&](std::uint32_t i, std::uint32_t j) {
+                           const double ci = spheres[i].center[axis], cj = spheres[j].center[axis];
+                           return ci < cj || (ci == cj && i < j);
+                         });
+        cut[2 * p + 1] = middle;
+        cut[2 * p] = b;
+        if (2 * p + 2 <= kWide) cut[2 * p + 2] = e;
+      }
+      parts *= 2;
+    }
+  }
+
+  const std::int32_t index = std::int32_t(nodes_.size());
+  nodes_.emplace_back();
+  WideNode node;
+  std::array<Sphere, kWide> part;
+  part.fill({Vec3::Zero(), 0});
+  int used = 0;
+  for (int p = 0; p < parts; ++p) {
+    if (cut[p] == cut[p + 1]) continue;
+    std::int32_t child;
+    if (cut[p + 1] - cut[p] == 1) {
+      child = ~std::int32_t(order[cut[p]]);
+      part[used] = spheres[order[cut[p]]];
+    } else {
+      child = build(order, cut[p], cut[p + 1], spheres, part[used], depth + 1);
+    }
+    node.x[used] = float(part[used].center.x());
+    node.y[used] = float(part[used].center.y());
+    node.z[used] = float(part[used].center.z());
+    node.r[used] = float(part[used].radius + slack_);
+    node.child[used] = child;
+    ++used;
+  }
+  bound = bound_of(part.data(), used);
+  for (int p = used; p < kWide; ++p) {
+    node.x[p] = node.y[p] = node.z[p] = 0;
+    node.r[p] = -std::numeric_limits<float>::infinity();
+    node.child[p] = 0;
+  }
+  nodes_[index] = node;
+  return index;
+}
+
+template <class Query>
+int WideTree::find_any(const Query& query, std::uint32_t* out, int capacity, std::uint32_t& visited) const {
+  std::int32_t stack[kMaxStack];
+  int height = 0, count = 0;
+  stack[height++] = root_;
+  alignas(64) float gap[kWide];
+  while (height > 0) {
+    const WideNode& node = nodes_[stack[--height]];
+    ++visited;
+    node_gaps(node, query, gap);
+    for (int i = 0; i < kWide; ++i) {
+      if (gap[i] > 0.0f) continue;
+      const std::int32_t child = node.child[i];
+      if (child >= 0) {
+        stack[height++] = child;
+      } else {
+        if (count == capacity) return capacity + 1;
+        out[count++] = std::uint32_t(~child);
+      }
+    }
+  }
+  return count;
+}
+
+int WideTree::find(const SphereQuery& query, std::uint32_t* out, int capacity, std::uint32_t& visited) const {
+  return find_any(query, out, capacity, visited);
+}
+
+int WideTree::find(const BoxQuery& query, std::uint32_t* out, int capacity, std::uint32_t& visited) const {
+  return find_any(query, out, capacity, visited);
+}
+
+}  // namespace palmar
