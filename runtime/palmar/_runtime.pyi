@@ -23,10 +23,10 @@ def replay(
     header: dict[str, str],
     progress: Callable[[int, int], bool] | None = None,
 ) -> dict[str, Any]:
-    """Replay a trace on a pack's object ("" for the only one); `header` is stored in the run beside what replay itself knows.
+    """Replay a trace on a pack's object ("" for the only one); `header` is stored beside what replay itself knows.
 
-    settings: see `default_settings()`; an unknown key raises. progress(done, total) is called now and then; False stops and
-    writes nothing. Returns counts: steps, and steps by status. Raises BadPack, BadTrace, PalmarError.
+    settings: see `default_settings()`; an unknown key raises. progress(done, total) is called now and then; False
+    stops and writes nothing. Returns counts: steps, and steps by status. Raises BadPack, BadTrace, PalmarError.
     """
 
 def default_settings() -> dict[str, Any]:
@@ -47,5 +47,8 @@ class Session:
         palm_rotation_wxyz: np.ndarray,
         flexion_rad: np.ndarray,
         abduction_rad: np.ndarray,
+        tracked: bool = True,
+        object_position_m: np.ndarray | None = None,
+        object_rotation_wxyz: np.ndarray | None = None,
     ) -> dict[str, Any]:
-        """One step towards the haptic hand given; a dict with the fields of one row of `palmar.records.Run`."""
+        """One step towards the haptic hand given; the fields of one row of `palmar.records.Run`, and `contacts`, a list of dicts."""

@@ -83,7 +83,8 @@ class AssetPack:
 def save_pack(path: str | Path, pack: AssetPack) -> str:
     """Write a pack and return its sha256. The file appears whole or not at all.
 
-    The manifest's "hand" and "objects" are taken from `about` of each part. Raises BadPack if the content breaks the format.
+    The manifest's "hand" and "objects" are taken from `about` of each part. Raises BadPack if the content breaks the
+    format.
     """
     from safetensors.numpy import save
 
@@ -115,7 +116,9 @@ def load_pack(path: str | Path) -> AssetPack:
     try:
         content = Path(path).read_bytes()
     except OSError as error:
-        raise BadPack("E-PACK-MISSING", where, f"{error.strerror}; a file written by `palmar build` is needed") from None
+        raise BadPack(
+            "E-PACK-MISSING", where, f"{error.strerror}; a file written by `palmar build` is needed"
+        ) from None
     try:
         tensors = load(content)
         length = int.from_bytes(content[:8], "little")
@@ -182,12 +185,12 @@ def _check(where: str, tensors: dict[str, NDArray[Any]], manifest: dict[str, Any
             want is None or have == want for have, want in zip(tensor.shape, shape, strict=True)
         )
         if not fits or tensor.dtype != dtype:
-            raise BadPack("E-PACK-SHAPE", f"{where}:{name}", f"{tensor.dtype} {tensor.shape}; {dtype} {shape} is needed")
+            raise BadPack(
+                "E-PACK-SHAPE", f"{where}:{name}", f"{tensor.dtype} {tensor.shape}; {dtype} {shape} is needed"
+            )
         if dtype == "float64" and not np.isfinite(tensor).all():
             at = np.argwhere(~np.isfinite(tensor))[0]
             raise BadPack("E-PACK-VALUE", f"{where}:{name}{at.tolist()}", "not a finite number")
         if name.endswith("spheres_m") and not (tensor[:, 3] > 0).all():
             at = int(np.argmin(tensor[:, 3]))
             raise BadPack("E-PACK-VALUE", f"{where}:{name}[{at}]", f"radius {tensor[at, 3]:g} m; radii are above 0")
-
-

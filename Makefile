@@ -1,0 +1,67 @@
+# Two commands: `make demo` and `make test`. Each sets up all that it needs, in .venv and build/, with nothing on the machine but
+# Python 3.11 (with its headers), make and a C++20 compiler. `make PYTHON=python3.12 test` takes another Python.
+
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+
+# An edited C++ file is compiled again. Edited Python is live, but an editable install knows its modules by name, so it is renewed
+# when a Python file comes or goes.
+CORE := $(wildcard runtime/CMakeLists.txt runtime/*.in runtime/src/* runtime/include/palmar/*)
+MODULES := $(sort $(wildcard runtime/palmar/*.py tools/*.py traces/*.py eval/*.py))
+
+.PHONY: demo test lint format clean names
+
+demo: .venv/installed
+	@echo "== demo: built-in objects, a scripted grasp, replay, report"
+	@$(BIN)/palmar demo -o demo
+
+test: .venv/installed
+	@echo "== C++ tests"
+	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/tests -G Ninja -DPALMAR_TESTS=ON -DCMAKE_BUILD_TYPE=Release \
+	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
+	@$(BIN)/cmake --build build/tests -- --quiet
+	@$(BIN)/ctest --test-dir build/tests --output-on-failure
+	@echo "== Python tests"
+	@$(BIN)/python -m pytest
+
+lint: .venv/linters
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/clang-format --dry-run --Werror $(wildcard runtime/src/*.cpp runtime/src/*.h runtime/include/palmar/*.h tests/runtime/*.cpp tests/runtime/*.h tests/consumer/*.c)
+	$(BIN)/mypy
+
+format: .venv/linters
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+	$(BIN)/clang-format -i $(wildcard runtime/src/*.cpp runtime/src/*.h runtime/include/palmar/*.h tests/runtime/*.cpp tests/runtime/*.h tests/consumer/*.c)
+
+clean:
+	rm -rf .venv build demo
+
+.venv/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "Palmar needs Python 3.11 or later, and $(PYTHON) is not. Name another: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
+	@echo "== Python environment in .venv"
+	@$(PYTHON) -m venv .venv
+
+# What the build itself needs comes from pip too (cmake and ninja with it), and stays, so that the next build compiles only what changed.
+.venv/build-tools: pyproject.toml | .venv/bin/python
+	@echo "== tools for the build (pip)"
+	@$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' > .venv/build-requires.txt
+	@$(PIP) install -r .venv/build-requires.txt cmake ninja
+	@touch $@
+
+.venv/installed: .venv/build-tools .venv/modules $(CORE)
+	@echo "== building the C++ core and installing palmar with its libraries (the first time takes some minutes)"
+	@PATH="$(CURDIR)/$(BIN):$$PATH" $(PIP) install --no-build-isolation -e '.[test]'
+	@touch $@
+
+.venv/modules: names | .venv/bin/python
+	@echo '$(MODULES)' | cmp -s - $@ || echo '$(MODULES)' > $@
+
+.venv/linters: pyproject.toml | .venv/installed
+	@echo "== ruff, clang-format, mypy (pip)"
+	@$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["lint"], sep="\n")' > .venv/lint-requires.txt
+	@$(PIP) install -r .venv/lint-requires.txt
+	@touch $@

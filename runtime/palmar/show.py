@@ -1,0 +1,162 @@
+"""The `show` verb, and how the answers of `build` and `replay` are printed."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from palmar.model import AssetPack
+from palmar.records import STATUS, Run, Trace
+from palmar.terminal import print_fields, print_table
+
+LEVEL_COLUMNS = (
+    "object",
+    "level",
+    "spheres",
+    "protrusion max mm",
+    "p99",
+    "mean",
+    "gap max mm",
+    "p99",
+    "mean",
+    "normals median deg",
+    "p95",
+)
+
+
+def describe(content: AssetPack | Trace | Run) -> dict[str, Any]:
+    """What `show` says of a file; plain values that JSON can hold."""
+    if isinstance(content, AssetPack):
+        return {"kind": "pack", **describe_pack(content)}
+    if isinstance(content, Run):
+        return {"kind": "run", **describe_run(content)}
+    return {"kind": "trace", **describe_trace(content)}
+
+
+def describe_pack(pack: AssetPack) -> dict[str, Any]:
+    objects = {}
+    for name, tree in pack.objects.items():
+        size_mm = np.ptp(tree.vertices_m, axis=0) * 1000
+        objects[name] = {
+            **tree.about,
+            "triangles": len(tree.faces),
+            "size_mm": [round(float(side), 3) for side in size_mm],
+        }
+    hand = {**pack.hand.about, "palm_spheres": len(pack.hand.palm_spheres_m)}
+    return {"sha256": pack.sha256, "schema": pack.manifest["schema"], "hand": hand, "objects": objects}
+
+
+def describe_trace(trace: Trace) -> dict[str, Any]:
+    return {
+        "header": trace.header,
+        "samples": len(trace.time_s),
+        **_describe_time(trace.time_s),
+        "untracked": int((~trace.tracked).sum()),
+        "object_poses": int(trace.has_object_pose.sum()),
+        "lost": dict(trace.lost),
+    }
+
+
+def describe_run(run: Run) -> dict[str, Any]:
+    counts = {"ok": int((run.status == 0).sum())}
+    counts |= {name: int((run.status & bit != 0).sum()) for bit, name in STATUS.items()}
+    in_contact = run.contacts > 0
+    # Steps far from the object cost next to nothing; only those in contact say how fast a solver is.
+    times = run.cpu_us[in_contact] if in_contact.any() else run.cpu_us
+    percentiles = dict(zip(("p50", "p99", "p99.9", "max"), _percentiles(times), strict=True))
+    return {
+        "header": run.header,
+        "steps": len(run.time_s),
+        **_describe_time(run.time_s),
+        "steps_in_contact": int(in_contact.sum()),
+        "contacts_max": int(run.contacts.max(initial=0)),
+        "status": counts,
+        "step_cpu_us": {"of": "steps in contact" if in_contact.any() else "all steps", **percentiles},
+        "lost": dict(run.lost),
+    }
+
+
+def print_description(description: dict[str, Any]) -> None:
+    if description["kind"] == "pack":
+        _print_pack(description)
+        return
+    fields = {key: value for key, value in description.items() if not isinstance(value, dict)}
+    print_fields(fields)
+    if description["kind"] == "run":
+        print_replay({"steps": description["steps"], "status": description["status"]})
+        cpu = description["step_cpu_us"]
+        print_table(("step CPU time, us", "p50", "p99", "p99.9", "max"), [(cpu["of"], *list(cpu.values())[1:])])
+    print_table(("header", ""), [(key, _short(value)) for key, value in description["header"].items()])
+
+
+def print_build(answer: dict[str, Any]) -> None:
+    """The answer of `palmar.tools.pack.build`: the errors of each level, then the file."""
+    print_table(LEVEL_COLUMNS, _level_rows(answer["objects"]))
+
+
+def print_replay(answer: dict[str, Any]) -> None:
+    """How many steps of a run had which status."""
+    rows = [(name, count) for name, count in answer["status"].items() if count or name == "ok"]
+    print_table(("status", "steps"), rows)
+
+
+def _print_pack(description: dict[str, Any]) -> None:
+    hand = description["hand"]
+    print_fields({"kind": "pack", "sha256": description["sha256"], "schema": description["schema"]})
+    print_fields({f"hand {key}": value for key, value in hand.items()})
+    objects = description["objects"]
+    columns = ("object", "source", "size mm", "triangles", "closed")
+    rows = [
+        (
+            name,
+            about.get("source", ""),
+            " x ".join(f"{s:.1f}" for s in about["size_mm"]),
+            about["triangles"],
+            about.get("closed") or "",
+        )
+        for name, about in objects.items()
+    ]
+    print_table(columns, rows)
+    print_table(LEVEL_COLUMNS, _level_rows(objects))
+
+
+def _level_rows(objects: dict[str, Any]) -> list[tuple[Any, ...]]:
+    rows = []
+    for name, about in objects.items():
+        for k, level in enumerate(about["levels"]):
+            errors = [*level["protrusion_mm"].values(), *level["gap_mm"].values(), *level["normal_error_deg"].values()]
+            rows.append((name, k, level["spheres"], *errors))
+    return rows
+
+
+def _describe_time(time_s: Any) -> dict[str, Any]:
+    """Duration, median rate, and gaps: times between neighbours of over twice the median."""
+    if len(time_s) < 2:
+        return {"duration_s": 0.0, "rate_hz": 0.0, "gaps": 0, "longest_gap_s": 0.0}
+    between = np.diff(time_s)
+    usual = float(np.median(between))
+    return {
+        "duration_s": float(time_s[-1] - time_s[0]),
+        "rate_hz": 1.0 / usual if usual > 0 else 0.0,
+        "gaps": int((between > 2 * usual).sum()),
+        "longest_gap_s": float(between.max()),
+    }
+
+
+def _percentiles(values: Any) -> list[float]:
+    return [float(v) for v in np.percentile(values, [50, 99, 99.9, 100])] if len(values) else [0.0] * 4
+
+
+def _short(text: str) -> str:
+    """JSON values on one line, cut where nobody reads on."""
+    try:
+        parsed = json.loads(text)
+    except ValueError:
+        parsed = text
+    if isinstance(parsed, dict):
+        text = ", ".join(f"{key} {value}" for key, value in parsed.items())
+    elif isinstance(parsed, list):
+        text = ", ".join(str(part.get("name", part)) if isinstance(part, dict) else str(part) for part in parsed)
+    return text if len(text) <= 160 else f"{text[:157]}..."
