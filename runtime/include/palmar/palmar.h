@@ -1,0 +1,105 @@
+/* Palmar's C interface: step a virtual hand against an object, from any host's frame loop.
+ *
+ * Units are SI: metres, radians, seconds, newtons. A quaternion is unit, ordered w x y z. Fingers are ordered thumb, index,
+ * middle, ring, little; joints from the palm outwards (MCP, PIP, DIP). A link is 0 for the palm, 1 + 3 finger + phalanx else.
+ *
+ * Every struct begins with its own size in bytes: set it to sizeof(the struct), so that a host built against an older header
+ * keeps working. Functions that can fail return a palmar_code and write one line for a person into `message`.
+ * One session belongs to one thread at a time; different sessions are independent. */
+#ifndef PALMAR_H
+#define PALMAR_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define PALMAR_API __attribute__((visibility("default")))
+
+typedef enum palmar_code {
+  PALMAR_OK = 0,
+  PALMAR_BAD_INPUT = 2, /* the message begins with a code such as E-PACK-SHAPE */
+  PALMAR_BUG = 70       /* an error of Palmar's own */
+} palmar_code;
+
+/* Bits of palmar_result.status; 0 is the plain answer. */
+enum {
+  PALMAR_RECOVERING = 1,       /* the hand started inside the object */
+  PALMAR_ITERATION_LIMIT = 2,  /* the operation budget ended before the pose converged */
+  PALMAR_YIELDED = 4,          /* a finger was blocked and the palm, the wrist or an abduction gave way */
+  PALMAR_KEPT_PREVIOUS = 8,    /* no better pose could be verified */
+  PALMAR_BAD_SAMPLE = 16,      /* the sample was not usable; the last good one stays */
+  PALMAR_LIMIT = 32            /* a joint limit clipped the sample */
+};
+
+typedef struct palmar_placement {
+  double position_m[3];
+  double rotation_wxyz[4];
+} palmar_placement;
+
+typedef struct palmar_pose {
+  palmar_placement palm; /* world from palm */
+  double flexion_rad[15];
+  double abduction_rad[5];
+} palmar_pose;
+
+typedef struct palmar_sample {
+  uint32_t size;
+  uint32_t tracked; /* 0: the device had lost the hand */
+  double time_s;
+  palmar_pose haptic;
+  uint32_t has_object_pose;
+  uint32_t reserved;
+  palmar_placement object; /* world from object; ignored unless has_object_pose */
+} palmar_sample;
+
+typedef struct palmar_contact {
+  uint32_t link;
+  uint32_t object_sphere; /* leaf index */
+  uint32_t palm_sphere;   /* 4294967295 for a phalanx */
+  uint32_t reserved;
+  double gap_m;
+  double force_n;
+  double point_m[3]; /* world, on the hand's surface */
+  double normal[3];  /* world, from the object to the hand */
+} palmar_contact;
+
+typedef struct palmar_result {
+  uint32_t size;
+  uint32_t status;
+  double time_s;
+  palmar_pose graphic;
+  double palm_force_n[3]; /* on the user: G (graphic - haptic) */
+  double palm_torque_n_m[3];
+  double joint_torque_n_m[15];
+  double fingertip_force_n[15]; /* 5 x 3 */
+  uint32_t contacts;
+  uint32_t operations;
+  uint64_t state_hash;
+} palmar_result;
+
+typedef struct palmar_session palmar_session;
+
+/* "major.minor.patch" */
+PALMAR_API const char* palmar_version(void);
+
+/* Opens a pack's hand and one object (NULL or "" for the only one) with settings as JSON text (NULL for the defaults; unknown
+ * keys are errors). On success *session is for palmar_close. Allocates all that stepping needs. */
+PALMAR_API palmar_code palmar_open(const char* pack_path, const char* object, const char* settings_json,
+                                   palmar_session** session, char* message, size_t message_size);
+
+/* One step. Does not allocate, lock or call the system. A sample that cannot be used leaves the hand where it is. */
+PALMAR_API palmar_code palmar_step(palmar_session* session, const palmar_sample* sample, palmar_result* result);
+
+/* Contacts of the last step: copies at most `capacity`, returns how many there are. */
+PALMAR_API uint32_t palmar_contacts(const palmar_session* session, palmar_contact* contacts, uint32_t capacity);
+
+PALMAR_API void palmar_close(palmar_session* session);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif /* PALMAR_H */
