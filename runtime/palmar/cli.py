@@ -6,6 +6,7 @@ Exit codes: 0 fine; 2 bad input, with one line on stderr; 3 recovered with loss;
 from __future__ import annotations
 
 import os
+import re
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -53,7 +54,7 @@ def run(arguments: list[str]) -> int:
     except typer.TyperException as error:
         return complain(usage_line(error), 2)
     except BrokenPipeError:
-        # Whoever read our output (a pager, head) has had enough; nothing more may go there, not even by Python at its end.
+        # The reader of our output (a pager, head) has had enough; nothing more may go there, not even at Python's end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
@@ -82,6 +83,25 @@ def usage_line(error: typer.TyperException) -> str:
     where = context.command_path if context else "palmar"
     message = error.format_message().rstrip(".")
     return f"E-USAGE {where}: {message[:1].lower()}{message[1:]} (see {where} --help)"
+
+
+def parse_pairs(flag: str, pairs: list[str]) -> dict[str, bool | int | float | str]:
+    """`key=value` texts as values: true or false, a number where it reads as one, else the text. Keys are checked later,
+    by whoever knows them.
+    """
+    values: dict[str, bool | int | float | str] = {}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals:
+            raise PalmarError("E-USAGE", flag, f"{pair!r}; key=value is needed")
+        values[key] = text
+        if text in ("true", "false"):
+            values[key] = text == "true"
+        elif re.fullmatch(r"[+-]?\d+", text):
+            values[key] = int(text)
+        elif re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?", text, re.IGNORECASE):
+            values[key] = float(text)
+    return values
 
 
 def print_version(wanted: bool) -> None:
@@ -181,12 +201,11 @@ def import_(
 ) -> None:
     """Foreign log -> trace."""
     from palmar.files import require_file, require_place
-    from palmar.settings import parse_options
     from palmar.terminal import print_fields, print_json
     from palmar.traces.device import import_file
 
     require_place(out)
-    answer = import_file(require_file(file), out, format=form, **parse_options(option or []))
+    answer = import_file(require_file(file), out, format=form, **parse_pairs("--option", option or []))
     print_json(answer) if json else print_fields(answer)
 
 
@@ -230,12 +249,11 @@ def replay(
     from palmar.files import lost_line, require_file, require_place
     from palmar.records import read_trace
     from palmar.replay import replay_file
-    from palmar.settings import parse_settings
     from palmar.show import print_replay
     from palmar.terminal import print_json, progress_bar
 
     named = [f"solver={solver}", f"resample={resample}", *([f"level={level}"] if level is not None else [])]
-    settings = parse_settings([*named, *(setting or [])])
+    settings = parse_pairs("--set", [*named, *(setting or [])])
     require_file(pack)
     require_place(out)
     damage = lost_line(trace, read_trace(require_file(trace)).lost)
