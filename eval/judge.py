@@ -63,14 +63,15 @@ class Shape:
     palm: Array  # (n, p, 3)
     palm_radius: Array  # (p,)
 
-    def __getitem__(self, steps: slice) -> Shape:
+    def __getitem__(self, steps: slice | NDArray[np.integer]) -> Shape:
         return Shape(self.c1[steps], self.r1, self.c2[steps], self.r2, self.palm[steps], self.palm_radius)
 
-    def moved(self, start: NDArray[np.integer], end: NDArray[np.integer]) -> tuple[Array, Array]:
-        """Farthest that a point of each link is carried from step start[i] to end[i]: phalanges (i, 15), palm (i, p)."""
-        # Points inside are carried by a mean of what carries the ends.
-        phalanges = np.maximum(_norm(self.c1[end] - self.c1[start]), _norm(self.c2[end] - self.c2[start]))
-        return phalanges, _norm(self.palm[end] - self.palm[start])
+
+def carried(before: Shape, after: Shape) -> tuple[Array, Array]:
+    """Farthest that a point of each link is carried, step by step: phalanges (n, 15), palm spheres (n, p). Metres."""
+    # A point inside is carried by a mean of what carries the two ends.
+    phalanges = np.maximum(_norm(after.c1 - before.c1), _norm(after.c2 - before.c2))
+    return phalanges, _norm(after.palm - before.palm)
 
 
 def _norm(vectors: Array) -> Array:
@@ -129,11 +130,22 @@ def palm_spheres(hand: HandModel, poses: Poses) -> Array:
     return np.concatenate([centres, radii], axis=2)
 
 
-def fingertips(hand: HandModel, poses: Poses) -> tuple[Array, Array]:
-    """Tip E of each distal phalanx, (n, 5, 3) in the world, and the unit axis from its D to E, (n, 5, 3)."""
-    distal = _phalanx_points(hand, poses, hand.phalanx_m)[:, :, 2]
-    axis = distal[:, :, 1] - distal[:, :, 0]
-    return distal[:, :, 1], axis / _norm(axis)[..., None]
+def fingertip_force(hand: HandModel, graphic: Poses, haptic: Poses) -> Array:
+    """The paper's F_N at each fingertip: (n, 5, 3) newtons, world axes.
+
+    Stiffness times the way from haptic to graphic fingertip across the distal phalanx of the graphic hand. A fingertip
+    is the centre of the ball at the phalanx's end.
+    """
+    c1, _, c2, _ = phalanx_capsules(hand, graphic)
+    c1, tip = c1[:, 2::3], c2[:, 2::3]
+    axis = (tip - c1) / _norm(tip - c1)[..., None]
+    way = tip - fingertips(hand, haptic)
+    return hand.palm_stiffness_n_per_m * (way - np.einsum("nfi,nfi->nf", way, axis)[..., None] * axis)
+
+
+def fingertips(hand: HandModel, poses: Poses) -> Array:
+    """Centres of the balls at the ends of the five distal phalanges: (n, 5, 3) in the world, metres."""
+    return phalanx_capsules(hand, poses)[2][:, 2::3]
 
 
 def shape_in_object(hand: HandModel, poses: Poses, run: Run) -> Shape:
@@ -248,7 +260,7 @@ def _mesh_gap_of_block(shape: Shape, mesh: Mesh, band: float, tolerance: float) 
         gap[i, 15 + k] = low[i, 15 + k] = mesh.closest(shape.palm[i, k])[0] - shape.palm_radius[k]
         if stride > 1:
             for near in (steps // stride * stride, np.minimum(-(-steps // stride) * stride, sampled[-1])):
-                low = np.maximum(low, low[near] - np.hstack(shape.moved(near, steps)))
+                low = np.maximum(low, low[near] - np.hstack(carried(shape[near], shape)))
     return np.where(low < band, np.minimum(gap, band), band)
 
 
@@ -278,20 +290,20 @@ def wrong_side(shape: Shape, mesh: Mesh, phalanx_gap: Array, palm_gap: Array) ->
     points at most SWEEP_M apart on straight paths. An axis farther from the surface than it moved cannot go through it.
     """
     least_radius = np.minimum(shape.r1, shape.r2)
-    wrong = (palm_gap < -shape.palm_radius).any(axis=1)
+    wrong = np.zeros(len(shape.c1), dtype=np.bool_)
+    wrong |= (palm_gap < -shape.palm_radius).any(axis=1)
 
     i, k = np.nonzero(phalanx_gap < -least_radius)
     wrong[i[_touches_inside(mesh, shape.c1[i, k], shape.c2[i, k])]] = True
 
-    steps = np.arange(1, len(wrong))
-    moved, palm_moved = shape.moved(steps - 1, steps)
+    moved, palm_moved = carried(shape[:-1], shape[1:])
     for k in range(15):
-        i = np.flatnonzero((moved[:, k] >= phalanx_gap[:-1, k] + least_radius[k]) & ~wrong[1:])
-        if len(i):
+        at = np.flatnonzero((moved[:, k] >= phalanx_gap[:-1, k] + least_radius[k]) & ~wrong[1:])
+        if len(at):
             along = np.linspace(0, 1, 1 + int(np.ceil(_norm(shape.c2[0, k] - shape.c1[0, k]) / SWEEP_M)))[:, None]
-            before, after = ((1 - along) * shape.c1[t, k, None] + along * shape.c2[t, k, None] for t in (i, i + 1))
-            crossed = _touches_inside(mesh, before.reshape(-1, 3), after.reshape(-1, 3)).reshape(len(i), -1)
-            wrong[i[crossed.any(axis=1)] + 1] = True
+            before, after = ((1 - along) * shape.c1[t, k, None] + along * shape.c2[t, k, None] for t in (at, at + 1))
+            crossed = _touches_inside(mesh, before.reshape(-1, 3), after.reshape(-1, 3)).reshape(len(at), -1)
+            wrong[at[crossed.any(axis=1)] + 1] = True
     i, k = np.nonzero((palm_moved >= palm_gap[:-1] + shape.palm_radius) & ~wrong[1:, None])
     wrong[i[_touches_inside(mesh, shape.palm[i, k], shape.palm[i + 1, k])] + 1] = True
     return wrong
