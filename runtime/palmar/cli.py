@@ -86,8 +86,9 @@ def usage_line(error: typer.TyperException) -> str:
 
 
 def parse_pairs(flag: str, pairs: list[str]) -> dict[str, bool | int | float | str]:
-    """`key=value` texts as values: true or false, a number where it reads as one, else the text. Keys are checked later,
-    by whoever knows them.
+    """`key=value` texts as values: true or false, a number where it reads as one, else the text.
+
+    Keys and values are checked later, by whoever knows them.
     """
     values: dict[str, bool | int | float | str] = {}
     for pair in pairs:

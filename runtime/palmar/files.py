@@ -64,8 +64,8 @@ def load_any(path: Path) -> AssetPack | Trace | Run:
             return load_pack(path)
     try:
         return read_trace(path)
-    except BadTrace as no_trace:
-        if no_trace.code != "E-TRACE-KIND":
+    except BadTrace as error:
+        if not error.message.startswith("schema palmar.run/"):
             raise
     return read_run(path)
 

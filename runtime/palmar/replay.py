@@ -11,6 +11,7 @@ from typing import Any
 
 from palmar import _runtime
 from palmar.files import sha256_of
+from palmar.records import STATUS
 
 
 def replay_file(
@@ -24,7 +25,8 @@ def replay_file(
 ) -> dict[str, Any]:
     """Replay `trace` on an object of `pack` and write the run; same inputs, same poses and forces, bit for bit.
 
-    Returns the counts of `_runtime.replay` with the hashes and the path. Raises BadPack, BadTrace, PalmarError.
+    Returns run, pack_sha256, trace_sha256, steps, status (steps by name), content_fnv1a64 and lost. Raises BadPack,
+    BadTrace, PalmarError.
     """
     header = {
         "pack_sha256": sha256_of(pack),
@@ -37,7 +39,23 @@ def replay_file(
         return True
 
     counts = _runtime.replay(str(pack), str(trace), str(out), object_name, settings or {}, header, step)
-    return {"run": str(out), "pack_sha256": header["pack_sha256"], "trace_sha256": header["trace_sha256"], **counts}
+    return {
+        "run": str(out),
+        "pack_sha256": header["pack_sha256"],
+        "trace_sha256": header["trace_sha256"],
+        "steps": counts["steps"],
+        "status": count_status(counts["steps_by_status"]),
+        "content_fnv1a64": counts["content_fnv1a64"],
+        "lost": counts["lost"],
+    }
+
+
+def count_status(steps_by_status: dict[int, int]) -> dict[str, int]:
+    """Steps by the name of each status bit, from steps by status; a step with two bits counts in both."""
+    counts = {"ok": steps_by_status.get(0, 0)}
+    for bit, name in STATUS.items():
+        counts[name] = sum(steps for status, steps in steps_by_status.items() if status & bit)
+    return counts
 
 
 def machine() -> dict[str, Any]:

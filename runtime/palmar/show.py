@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from palmar.model import AssetPack
-from palmar.records import STATUS, Run, Trace
+from palmar.records import Run, Trace
+from palmar.replay import count_status
 from palmar.terminal import print_fields, print_table
 
 LEVEL_COLUMNS = (
@@ -60,8 +61,7 @@ def describe_trace(trace: Trace) -> dict[str, Any]:
 
 
 def describe_run(run: Run) -> dict[str, Any]:
-    counts = {"ok": int((run.status == 0).sum())}
-    counts |= {name: int((run.status & bit != 0).sum()) for bit, name in STATUS.items()}
+    values, counts = np.unique(run.status, return_counts=True)
     in_contact = run.contacts > 0
     # Steps far from the object cost next to nothing; only those in contact say how fast a solver is.
     times = run.cpu_us[in_contact] if in_contact.any() else run.cpu_us
@@ -72,7 +72,7 @@ def describe_run(run: Run) -> dict[str, Any]:
         **_describe_time(run.time_s),
         "steps_in_contact": int(in_contact.sum()),
         "contacts_max": int(run.contacts.max(initial=0)),
-        "status": counts,
+        "status": count_status(dict(zip(values.tolist(), counts.tolist(), strict=True))),
         "step_cpu_us": {"of": "steps in contact" if in_contact.any() else "all steps", **percentiles},
         "lost": dict(run.lost),
     }
