@@ -1,0 +1,304 @@
+"""The report as one HTML page that needs nothing else: texts and tables as HTML, replay and charts by its script."""
+
+from __future__ import annotations
+
+import json
+from html import escape
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+from palmar.eval.explain import MEANING
+from palmar.eval.panels import INPUT_BITS, Judged, hard_steps, panels, worst_steps
+from palmar.eval.view3d import frame_steps, hand_shape, object_shape, pack_array, poses, three_js
+from palmar.model import FINGERS
+from plotly.offline import get_plotlyjs
+
+TEMPLATES = Path(__file__).parent / "template"
+SCRIPTS = ("view.js", "charts.js", "page.js")
+# Columns of the table over all runs: metric, stat.
+OVERVIEW = (
+    ("penetration_spheres", "max"),
+    ("penetration_mesh", "max"),
+    ("hover", "p99"),
+    ("palm_offset", "p99"),
+    ("force_variation", "mean"),
+    ("force_variation_ratio", "mean"),
+    ("excess_force_step", "max"),
+    ("joint_step_excess", "max"),
+    ("step_cpu", "p50"),
+    ("step_cpu", "p99"),
+)
+
+
+def build_page(runs: list[Judged], title: str) -> str:
+    """The whole page as text. Runs of the same pack share hand and object shapes."""
+    content: dict[str, Any] = {"hands": {}, "objects": {}, "runs": []}
+    sections = []
+    for number, judged in enumerate(runs):
+        shown = run_content(judged)
+        content["runs"].append(shown)
+        if shown["hand"] not in content["hands"]:
+            content["hands"][shown["hand"]] = hand_shape(judged.pack.hand)
+        if shown["object"] not in content["objects"]:
+            tree = judged.pack.objects[judged.object_name]
+            content["objects"][shown["object"]] = object_shape(tree, leaf_level(judged))
+        sections.append(run_section(number, judged, last_frame=shown["time_s"]["shape"][0] - 1))
+    return fill(
+        "page.html",
+        title=escape(title),
+        css=read("page.css"),
+        lead="" if len(runs) == 1 else lead(runs),
+        overview="" if len(runs) == 1 else overview_table(runs),
+        sections="\n".join(sections),
+        limits=read("limits.html"),
+        # A closing tag inside a string would end the script element.
+        content=json.dumps(content).replace("</", "<\\/"),
+        three_js=three_js(),
+        plotly_js=get_plotlyjs(),
+        script="\n".join(read(name) for name in SCRIPTS),
+    )
+
+
+def leaf_level(judged: Judged) -> int:
+    """The level that the run used; the leaves if its header does not say."""
+    return int(judged.run.header.get("level", -1))
+
+
+def run_content(judged: Judged) -> dict[str, Any]:
+    """What the script needs of one run."""
+    run = judged.run
+    worst = worst_steps(judged)
+    steps = frame_steps(run, [step for step, _ in worst.values()])
+    return {
+        "hand": judged.pack.sha256,
+        "object": f"{judged.pack.sha256}/{judged.object_name}/{leaf_level(judged)}",
+        "time_s": pack_array(run.time_s[steps]),
+        "steps": pack_array(steps),
+        "poses": poses(run, steps),
+        "first": int(np.searchsorted(steps, worst["highest force"][0])),  # the moment that the page opens at
+        "phases": run.phases,
+        "panels": [
+            {
+                "key": panel.key,
+                "title": panel.title,
+                "axis": panel.axis,
+                "unit": panel.axis.rpartition(", ")[2],
+                "time_s": pack_array(panel.time_s),
+                "lines": {name: pack_array(line) for name, line in panel.lines.items()},
+                "hidden": list(panel.hidden),
+            }
+            for panel in panels(judged)
+        ],
+        "readouts": [
+            {"key": key, "digits": digits, "values": pack_array(values[steps])}
+            for key, _, _, digits, values in readouts(judged)
+        ],
+    }
+
+
+def readouts(judged: Judged) -> list[tuple[str, str, str, int, np.ndarray]]:
+    """Numbers beside the 3-D view that follow the slider: key, label, unit, digits, (n,) values."""
+    run, series = judged.run, judged.series
+    force = np.linalg.norm(run.fingertip_force_n, axis=2)
+    offset = 1e3 * np.linalg.norm(run.palm_position_m - run.haptic_palm_position_m, axis=1)
+    shown = [(f"force-{name}", f"force {name}", "N", 3, force[:, i]) for i, name in enumerate(FINGERS)]
+    shown.append(("contacts", "contacts", "", 0, run.contacts.astype(np.float64)))
+    shown.append(("palm-offset", "palm offset", "mm", 3, offset))
+    for metric, label in (("penetration_spheres", "into spheres"), ("penetration_mesh", "into mesh")):
+        if metric in series:
+            shown.append((metric, label, "mm", 4, series[metric]))
+    shown.append(("step-cpu", "step, CPU", "µs", 1, run.cpu_us))
+    return shown
+
+
+def run_section(number: int, judged: Judged, last_frame: int) -> str:
+    """One run: verdict, replay, charts, metrics, settings."""
+    worst = "".join(
+        f'<button type="button" data-step="{step}">{escape(label)} <small>{escape(note)}</small></button>'
+        for label, (step, note) in worst_steps(judged).items()
+    )
+    numbers = "".join(
+        f'<div><dt>{escape(label)}</dt><dd><span data-key="{key}">&ndash;</span> {unit}</dd></div>'
+        for key, label, unit, _, _ in readouts(judged)
+    )
+    tree = judged.pack.objects[judged.object_name]
+    return fill(
+        "run.html",
+        number=number,
+        name=escape(judged.name),
+        verdict=verdict_line(judged.passed, judged.verdict),
+        facts=facts(judged),
+        last_frame=last_frame,
+        sphere_count=f"{len(tree.levels[leaf_level(judged)]):,}",
+        worst=worst,
+        readouts=numbers,
+        metrics=metrics_table(judged.rows),
+        settings=settings_table(judged),
+    )
+
+
+def facts(judged: Judged) -> str:
+    """The line under the verdict: what was replayed, and how many steps were hard."""
+    run, tree = judged.run, judged.pack.objects[judged.object_name]
+    seconds = float(run.time_s[-1] - run.time_s[0])
+    spheres = len(tree.levels[leaf_level(judged)])
+    parts = [
+        f"{escape(judged.object_name)}: {len(tree.faces):,} triangles, {spheres:,} leaf spheres",
+        f"{len(run.time_s):,} steps, {seconds:.2f} s",
+        f"solver {escape(run.header.get('solver', 'not stated'))}",
+    ]
+    hard = hard_steps(run)
+    if hard:
+        counts = ", ".join(
+            f"{count:,} {name}{' (input)' if name in INPUT_BITS else ''}" for name, count in sorted(hard.items())
+        )
+        parts.append(f"hard steps: {counts}")
+    else:
+        parts.append("no hard steps")
+    if any(run.lost.values()):
+        lost = ", ".join(f"{count} {what}" for what, count in run.lost.items() if count)
+        parts.append(f"<strong>the run file is damaged, lost: {escape(lost)}</strong>")
+    return " · ".join(parts)
+
+
+def lead(runs: list[Judged]) -> str:
+    """The first sentence over several runs."""
+    failed = [judged.name for judged in runs if not judged.passed]
+    if failed:
+        return verdict_line(False, f"Outside a limit: {len(failed)} of {len(runs)} runs, {', '.join(failed)}.")
+    return verdict_line(True, f"All {len(runs)} runs are inside every limit.")
+
+
+def verdict_line(passed: bool, sentence: str) -> str:
+    outcome, mark = ("pass", "Pass.") if passed else ("fail", "Fail.")
+    return f'<p class="verdict {outcome}"><span class="mark">{mark}</span> {escape(sentence)}</p>'
+
+
+def overview_table(runs: list[Judged]) -> str:
+    """Runs against the metrics that matter first."""
+    units = {(row["metric"], row["stat"]): row["unit"] for judged in runs for row in judged.rows}
+    columns = [key for key in OVERVIEW if key in units]
+    head = ["<th>run</th><th>verdict</th>"]
+    for metric, stat in columns:
+        label = f"{metric.replace('_', ' ')}<br>{stat}, {unit_text(units[metric, stat])}"
+        head.append(f'<th class="number" title="{escape(MEANING.get(metric, ""))}">{label}</th>')
+    head.append('<th class="number">hard<br>steps</th>')
+    body = []
+    for number, judged in enumerate(runs):
+        by_key = {(row["metric"], row["stat"]): row for row in judged.rows}
+        hard = sum(count for name, count in hard_steps(judged.run).items() if name not in INPUT_BITS)
+        outcome = "pass" if judged.passed else "fail"
+        cells = [
+            f'<td class="name"><a href="#run-{number}">{escape(judged.name)}</a></td>',
+            f'<td class="{outcome}">{outcome}</td>',
+            *(value_cell(by_key.get(key)) for key in columns),
+            f'<td class="number">{hard:,}</td>',
+        ]
+        body.append("".join(cells))
+    return table("overview", "".join(head), body)
+
+
+def metrics_table(rows: list[dict[str, Any]]) -> str:
+    """Every metric with value, limit, margin and meaning."""
+    head = (
+        '<th>metric</th><th>over steps</th><th class="number">value</th><th>unit</th><th class="number">limit</th>'
+        '<th class="number" title="20 log10(limit / value); 0 or more passes">margin, dB</th><th>meaning</th>'
+    )
+    body, previous = [], None
+    for row in rows:
+        metric, limit = row["metric"], row.get("limit")
+        again = metric == previous
+        reason = f" <em>Not measured: {escape(row['reason'])}.</em>" if row.get("reason") else ""
+        cells = [
+            f'<td class="name">{"" if again else escape(metric)}</td>',
+            f"<td>{escape(row['stat'])}</td>",
+            value_cell(row),
+            f"<td>{unit_text(row['unit'])}</td>",
+            f'<td class="number">{"" if limit is None else number_text(limit)}</td>',
+            f'<td class="number">{margin_text(row["value"], limit, row.get("margin_db"))}</td>',
+            f'<td class="meaning">{"" if again else escape(MEANING.get(metric, ""))}{reason}</td>',
+        ]
+        body.append("".join(cells))
+        previous = metric
+    return table("metrics", head, body)
+
+
+def table(kind: str, head: str, rows: list[str]) -> str:
+    body = "".join(f"<tr>{row}</tr>" for row in rows)
+    return f'<div class="wide"><table class="{kind}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def value_cell(row: dict[str, Any] | None) -> str:
+    """A table cell, coloured when the row has a limit."""
+    if row is None:
+        return '<td class="number">&ndash;</td>'
+    limit, value = row.get("limit"), row["value"]
+    outcome = "" if limit is None else ("pass" if value is not None and value <= limit else "fail")
+    return f'<td class="number {outcome}">{number_text(value)}</td>'
+
+
+def unit_text(unit: str) -> str:
+    return "µs" if unit == "us" else escape(unit)
+
+
+def number_text(value: float | None) -> str:
+    """A number to four digits; a dash where nothing could be measured. Zero is a number."""
+    if value is None or not np.isfinite(value):
+        return "&ndash;"
+    if value == 0:
+        return "0"
+    text = f"{value:.4g}"
+    if "e" in text:
+        digits, exponent = text.split("e")
+        return f"{digits} &times; 10<sup>{int(exponent)}</sup>".replace("-", "&minus;")
+    return text
+
+
+def margin_text(value: float | None, limit: float | None, margin: float | None) -> str:
+    if limit is None or value is None:
+        return ""
+    if margin is None or not np.isfinite(margin):
+        return "&infin;" if value <= limit else "&minus;&infin;"
+    return f"{margin:+.1f}".replace("-", "&minus;")
+
+
+def settings_table(judged: Judged) -> str:
+    """The run's header, keys and values, nested JSON spread out; and the declared error of the model."""
+    lines = [
+        setting_line("run file", judged.sources["run"].name),
+        setting_line("pack file", judged.sources["pack"].name),
+    ]
+    for key, value in sorted(judged.run.header.items()):
+        if key == "phases":
+            continue
+        nested = json_object(value)
+        if nested is None:
+            lines.append(setting_line(key, value))
+        else:
+            lines += [setting_line(f"{key} · {name}", entry) for name, entry in sorted(nested.items())]
+    return f'<table class="settings"><tbody>{"".join(lines)}</tbody></table>'
+
+
+def setting_line(key: str, value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return f'<tr><th>{escape(key)}</th><td class="hash">{escape(text)}</td></tr>'
+
+
+def json_object(text: str) -> dict[str, Any] | None:
+    """The object that `text` is as JSON, or None."""
+    if not text.startswith("{"):
+        return None
+    try:
+        return json.loads(text)
+    except ValueError:
+        return None
+
+
+def read(name: str) -> str:
+    return (TEMPLATES / name).read_text(encoding="utf-8")
+
+
+def fill(template: str, **values: Any) -> str:
+    return Template(read(template)).substitute(values)

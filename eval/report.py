@@ -1,0 +1,116 @@
+"""The `report` verb: runs -> one HTML page, figures with the numbers behind them, metrics.json."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from palmar.errors import BadPack, BadTrace, PalmarError
+from palmar.eval.figures import write_figures
+from palmar.eval.metrics import measure, metrics_json, verdict
+from palmar.eval.page import build_page
+from palmar.eval.panels import Judged, panels
+from palmar.model import load_pack
+from palmar.records import read_run
+
+Progress = Callable[[int, int, str], None]
+OF_A_REPORT = {"index.html", "metrics.json", "figures"}
+
+
+def write_report(
+    runs: list[tuple[Path, Path]], out_dir: str | Path, *, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Judge runs, each with the pack it was made with, and write a folder of index.html, figures/ and metrics.json.
+
+    progress(done, total, what) is called as the work goes on. Returns {"page", "passed", "runs"}, each run {"run",
+    "passed", "verdict"}. The folder appears whole or not at all; an earlier report of that name is replaced. Raises
+    BadTrace or BadPack if a file breaks its format or a pack is not the one its run names, PalmarError if the folder
+    holds anything but a report.
+    """
+    out_dir = Path(out_dir)
+    check_folder(out_dir)
+    total = 2 * len(runs) + 1
+    done = 0
+
+    def tell(what: str) -> None:
+        nonlocal done
+        if progress:
+            progress(done, total, what)
+        done += 1
+
+    judged = []
+    for name, (run_path, pack_path) in zip(run_names(runs), runs, strict=True):
+        tell(f"judging {name}")
+        judged.append(judge_run(name, Path(run_path), Path(pack_path)))
+    write_folder(judged, out_dir, tell)
+    return {
+        "page": str(out_dir / "index.html"),
+        "passed": all(one.passed for one in judged),
+        "runs": [{"run": one.name, "passed": one.passed, "verdict": one.verdict} for one in judged],
+    }
+
+
+def judge_run(name: str, run_path: Path, pack_path: Path) -> Judged:
+    """Read a run and its pack and measure everything that has a metric."""
+    run, pack = read_run(run_path), load_pack(pack_path)
+    if not len(run.time_s):
+        raise BadTrace("E-RUN-EMPTY", str(run_path), "no step; a run of at least one step is needed")
+    named = run.header.get("pack_sha256")
+    if named != pack.sha256:
+        message = f"sha256 {pack.sha256[:12]}, but {run_path.name} was made with {str(named)[:12]}"
+        raise BadPack("E-PACK-OTHER", str(pack_path), message)
+    object_name = run.header.get("object", "")
+    if object_name not in pack.objects:
+        message = f"no object {object_name!r} as {run_path.name} names; it has {', '.join(sorted(pack.objects))}"
+        raise BadPack("E-PACK-OBJECT", str(pack_path), message)
+    rows, series = measure(run, pack, object_name)
+    passed, sentence = verdict(rows)
+    return Judged(name, run, pack, object_name, rows, series, sentence, passed, {"run": run_path, "pack": pack_path})
+
+
+def write_folder(judged: list[Judged], out_dir: Path, tell: Callable[[str], None]) -> None:
+    """Write the report of judged runs; the folder takes its name only when it is complete."""
+    out_dir.parent.mkdir(parents=True, exist_ok=True)
+    work = Path(tempfile.mkdtemp(dir=out_dir.parent, prefix=f".{out_dir.name}."))
+    try:
+        fresh = work / "report"
+        (fresh / "figures").mkdir(parents=True)
+        for one in judged:
+            tell(f"drawing {one.name}")
+            for _ in write_figures(one.name, panels(one), fresh / "figures"):
+                pass
+        tell("writing the page")
+        title = judged[0].name if len(judged) == 1 else f"{len(judged)} runs"
+        (fresh / "index.html").write_text(build_page(judged, title), encoding="utf-8")
+        (fresh / "metrics.json").write_text(metrics_json([(one.name, one.run, one.rows) for one in judged]))
+        if out_dir.exists():
+            out_dir.replace(work / "earlier")
+        fresh.replace(out_dir)
+    finally:
+        shutil.rmtree(work)
+
+
+def check_folder(out_dir: Path) -> None:
+    """Raise PalmarError unless the name is free, an empty folder or an earlier report."""
+    if not out_dir.exists():
+        return
+    if not out_dir.is_dir():
+        raise PalmarError("E-REPORT-FOLDER", str(out_dir), "is a file; give the name of a folder")
+    other = sorted({path.name for path in out_dir.iterdir()} - OF_A_REPORT)
+    if other:
+        message = f"holds {other[0]!r}, which no report wrote; give a new folder or one with an earlier report"
+        raise PalmarError("E-REPORT-FOLDER", str(out_dir), message)
+
+
+def run_names(runs: list[tuple[Path, Path]]) -> list[str]:
+    """File names without .run.mcap; those that are not the only one get a number."""
+    names = [Path(run).name.removesuffix(".mcap").removesuffix(".run") for run, _ in runs]
+    counts, seen, found = Counter(names), Counter[str](), []
+    for name in names:
+        seen[name] += 1
+        found.append(f"{name}-{seen[name]}" if counts[name] > 1 else name)
+    return found

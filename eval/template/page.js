@@ -1,0 +1,96 @@
+// One time for each run: the slider, the 3-D view, the cursor over the charts and the numbers beside them follow it.
+const content = JSON.parse(document.getElementById("content").textContent);
+
+function nearest(times, time) {
+  let low = 0, high = times.length - 1;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (times[middle] <= time) low = middle; else high = middle;
+  }
+  return time - times[low] <= times[high] - time ? low : high;
+}
+
+class Replay {
+  constructor(section, run) {
+    const find = selector => section.querySelector(selector);
+    this.times = decode(run.time_s);
+    this.steps = decode(run.steps);
+    this.readouts = run.readouts.map(({ key, digits, values }) => ({ key, digits, values: decode(values) }));
+    this.phases = run.phases;
+    this.slider = find(".time-slider");
+    this.clock = find(".clock");
+    this.button = find(".play");
+    this.speed = find(".speed");
+    this.numbers = find(".readouts");
+    this.playing = false;
+    if (sharedRenderer()) {
+      this.view = new View(find(".view canvas"), run.poses, content.hands[run.hand], content.objects[run.object], run.first);
+    } else {
+      find(".view").classList.add("without-webgl");
+    }
+    this.charts = new Charts(find(".charts"), run.panels, run.phases, time => this.goTo(time));
+    this.slider.addEventListener("input", () => this.show(Number(this.slider.value)));
+    this.button.addEventListener("click", () => this.play(!this.playing));
+    find(".look").addEventListener("click", () => this.view?.look());
+    section.querySelectorAll("[data-toggle]").forEach(box => {
+      box.addEventListener("change", () => this.view?.toggle(box.dataset.toggle, box.checked));
+    });
+    section.querySelectorAll("[data-step]").forEach(button => {
+      button.addEventListener("click", () => this.show(this.steps.indexOf(Number(button.dataset.step))));
+    });
+    this.show(run.first);
+  }
+
+  goTo(time) {
+    this.show(nearest(this.times, time));
+  }
+
+  show(frame) {
+    this.frame = frame;
+    this.slider.value = frame;
+    this.view?.show(frame);
+    this.charts.moveCursor(this.times[frame]);
+    const time = this.times[frame];
+    const phase = this.phases.find(p => time >= p.start_s && time < p.end_s);
+    this.clock.textContent = `${time.toFixed(3)} s · step ${this.steps[frame]}${phase ? " · " + phase.name : ""}`;
+    for (const { key, digits, values } of this.readouts) {
+      const value = values[frame];
+      this.numbers.querySelector(`[data-key="${key}"]`).textContent = Number.isNaN(value) ? "–" : value.toFixed(digits);
+    }
+  }
+
+  play(on) {
+    this.playing = on;
+    this.button.textContent = on ? "Pause" : "Play";
+    if (!on) return;
+    if (this.frame === this.times.length - 1) this.show(0);
+    let started = null, from = this.times[this.frame];
+    const tick = now => {
+      if (!this.playing) return;
+      started ??= now;
+      const time = from + (now - started) / 1000 * Number(this.speed.value);
+      if (time >= this.times[this.times.length - 1]) {
+        this.show(this.times.length - 1);
+        this.play(false);
+        return;
+      }
+      this.goTo(time);
+      requestAnimationFrame(tick);
+    };
+    requestAnimationFrame(tick);
+    this.speed.onchange = () => { from = this.times[this.frame]; started = null; };
+    this.slider.onpointerdown = () => this.play(false);
+  }
+}
+
+// A run is set up when its section comes near the window, so a page of many runs opens at once.
+const replays = new Map();
+function setUp(section) {
+  const at = Number(section.dataset.run);
+  if (!replays.has(at)) replays.set(at, new Replay(section, content.runs[at]));
+}
+const watcher = new IntersectionObserver(entries => {
+  for (const entry of entries) if (entry.isIntersecting) setUp(entry.target);
+}, { rootMargin: "400px" });
+document.querySelectorAll("section[data-run]").forEach(section => watcher.observe(section));
+window.addEventListener("beforeprint", () => document.querySelectorAll("section[data-run]").forEach(setUp));
