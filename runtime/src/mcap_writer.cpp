@@ -1,0 +1,301 @@
+#include "mcap_writer.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <random>
+
+#include "crc32.h"
+#include "error.h"
+
+namespace palmar {
+
+using namespace mcap;
+
+namespace {
+
+// A killed writer loses at most one chunk: 64 KiB or a quarter of a second, whichever is less.
+constexpr std::size_t kChunkBytes = 64 * 1024;
+constexpr std::uint64_t kChunkSpanNs = 250'000'000;
+
+using Buffer = std::vector<std::uint8_t>;
+
+void put(Buffer& to, Bytes bytes) { to.insert(to.end(), bytes.begin(), bytes.end()); }
+
+template <class T>
+void put(Buffer& to, T value)
+  requires std::is_integral_v<T>
+{
+  std::uint8_t raw[sizeof(T)];
+  std::memcpy(raw, &value, sizeof(T));
+  to.insert(to.end(), raw, raw + sizeof(T));
+}
+
+void put_text(Buffer& to, std::string_view text) {
+  put(to, static_cast<std::uint32_t>(text.size()));
+  to.insert(to.end(), text.begin(), text.end());
+}
+
+void put_record(Buffer& to, Opcode opcode, Bytes content) {
+  to.push_back(opcode);
+  put(to, static_cast<std::uint64_t>(content.size()));
+  put(to, content);
+}
+
+Buffer record(Opcode opcode, Bytes content) {
+  Buffer whole;
+  put_record(whole, opcode, content);
+  return whole;
+}
+
+Buffer texts_by_name(const std::map<std::string, std::string>& values) {
+  Buffer all;
+  for (const auto& [key, value] : values) {
+    put_text(all, key);
+    put_text(all, value);
+  }
+  return all;
+}
+
+std::string temporary_beside(const std::string& path) {
+  std::random_device random;
+  char suffix[24];
+  std::snprintf(suffix, sizeof suffix, ".%08x.part", random());
+  return path + suffix;
+}
+
+}  // namespace
+
+std::string mcap::metadata_crc(const std::string& name, const std::map<std::string, std::string>& values) {
+  Buffer content;
+  put_text(content, name);
+  put(content, texts_by_name(values));
+  char digits[9];
+  std::snprintf(digits, sizeof digits, "%08x", crc32(content));
+  return digits;
+}
+
+McapWriter::McapWriter(std::string path, Place place)
+    : path_(std::move(path)),
+      written_path_(place == Place::kInPlace ? path_ : temporary_beside(path_)),
+      place_(place),
+      file_(std::fopen(written_path_.c_str(), place == Place::kInPlace ? "wb" : "wbx")) {
+  if (!file_) fail("cannot be created");
+  Buffer start(kMagic.begin(), kMagic.end());
+  Buffer header;
+  put_text(header, "ros2");
+  put_text(header, "palmar");
+  put_record(start, kHeader, header);
+  write_data(start);
+}
+
+McapWriter::~McapWriter() {
+  if (file_) abandon();
+}
+
+std::uint16_t McapWriter::add_channel(const std::string& topic, const std::string& schema_name,
+                                      const std::string& schema_text) {
+  const auto id = static_cast<std::uint16_t>(channels_.size() + 1);
+  Channel channel;
+  Buffer content;
+  put(content, id);
+  put_text(content, schema_name);
+  put_text(content, "ros2msg");
+  put_text(content, schema_text);
+  channel.schema_record = record(kSchema, content);
+  content.clear();
+  put(content, id);
+  put(content, id);
+  put_text(content, topic);
+  put_text(content, "cdr");
+  put_text(content, "");
+  channel.channel_record = record(kChannel, content);
+  // Before the chunks, not in the first of them: losing a chunk must not make the others unreadable.
+  write_data(channel.schema_record);
+  write_data(channel.channel_record);
+  channels_.push_back(std::move(channel));
+  return id;
+}
+
+void McapWriter::add_metadata(const std::string& name, const std::map<std::string, std::string>& values) {
+  if (values.count(kOwnCrcKey))
+    throw Error("E-TRACE-HEADER", path_ + ":" + name + "." + kOwnCrcKey, "this key is kept for the record's own CRC");
+  std::map<std::string, std::string> checked = values;
+  checked[kOwnCrcKey] = metadata_crc(name, values);
+  const Buffer texts = texts_by_name(checked);
+  if (texts.size() > kMetadataLimit)
+    throw Error("E-TRACE-HEADER", path_ + ":" + name,
+                std::to_string(texts.size()) + " bytes; at most " + std::to_string(kMetadataLimit) + " are allowed");
+  finish_chunk();
+  Buffer content;
+  put_text(content, name);
+  put(content, static_cast<std::uint32_t>(texts.size()));
+  put(content, texts);
+  const Buffer whole = record(kMetadata, content);
+  Buffer index;
+  put(index, offset_);
+  put(index, static_cast<std::uint64_t>(whole.size()));
+  put_text(index, name);
+  put_record(metadata_indexes_, kMetadataIndex, index);
+  ++metadata_;
+  write_data(whole);
+}
+
+void McapWriter::add_message(std::uint16_t channel, std::uint64_t log_time_ns, Bytes payload) {
+  const bool full = chunk_.size() >= kChunkBytes || log_time_ns >= chunk_first_ns_ + kChunkSpanNs;
+  if (!chunk_.empty() && full && log_time_ns != chunk_last_ns_) finish_chunk();
+  if (chunk_.empty()) {
+    chunk_first_ns_ = chunk_last_ns_ = log_time_ns;
+    chunk_.reserve(kChunkBytes + kChunkBytes / 4);
+  }
+  chunk_first_ns_ = std::min(chunk_first_ns_, log_time_ns);
+  chunk_last_ns_ = std::max(chunk_last_ns_, log_time_ns);
+  first_ns_ = std::min(first_ns_, log_time_ns);
+  last_ns_ = std::max(last_ns_, log_time_ns);
+  ++messages_;
+
+  Channel& to = channels_.at(channel - 1u);
+  to.in_chunk.emplace_back(log_time_ns, chunk_.size());
+  chunk_.push_back(kMessage);
+  put(chunk_, static_cast<std::uint64_t>(kMessageHead + payload.size()));
+  put(chunk_, channel);
+  put(chunk_, to.messages++);
+  put(chunk_, log_time_ns);
+  put(chunk_, log_time_ns);
+  put(chunk_, payload);
+}
+
+void McapWriter::finish_chunk() {
+  if (chunk_.empty()) return;
+  const auto size = static_cast<std::uint64_t>(chunk_.size());
+  const std::uint64_t chunk_start = offset_;
+  Buffer head;
+  head.push_back(kChunk);
+  put(head, kChunkHead + size);
+  put(head, chunk_first_ns_);
+  put(head, chunk_last_ns_);
+  put(head, size);
+  put(head, crc32(chunk_));
+  put_text(head, "");
+  put(head, size);
+  write_data(head);
+  write_data(chunk_);
+
+  const std::uint64_t indexes_start = offset_;
+  Buffer indexes, offsets;
+  for (std::size_t i = 0; i < channels_.size(); ++i) {
+    auto& entries = channels_[i].in_chunk;
+    if (entries.empty()) continue;
+    put(offsets, static_cast<std::uint16_t>(i + 1));
+    put(offsets, indexes_start + indexes.size());
+    Buffer content;
+    put(content, static_cast<std::uint16_t>(i + 1));
+    put(content, static_cast<std::uint32_t>(16 * entries.size()));
+    for (const auto& [time_ns, at] : entries) {
+      put(content, time_ns);
+      put(content, at);
+    }
+    put_record(indexes, kMessageIndex, content);
+    entries.clear();
+  }
+  write_data(indexes);
+
+  Buffer content;
+  put(content, chunk_first_ns_);
+  put(content, chunk_last_ns_);
+  put(content, chunk_start);
+  put(content, indexes_start - chunk_start);
+  put(content, static_cast<std::uint32_t>(offsets.size()));
+  put(content, offsets);
+  put(content, static_cast<std::uint64_t>(indexes.size()));
+  put_text(content, "");
+  put(content, size);
+  put(content, size);
+  put_record(chunk_indexes_, kChunkIndex, content);
+  ++chunks_;
+  chunk_.clear();
+  if (place_ == Place::kInPlace && std::fflush(file_) != 0) fail("cannot be written");
+}
+
+void McapWriter::close() {
+  finish_chunk();
+  Buffer content;
+  put(content, data_crc_);
+  write(record(kDataEnd, content));
+
+  const std::uint64_t summary_start = offset_;
+  Buffer summary, groups;
+  auto end_group = [&, start = std::size_t{0}](Opcode opcode) mutable {
+    if (summary.size() > start) {
+      Buffer group;
+      group.push_back(opcode);
+      put(group, summary_start + start);
+      put(group, static_cast<std::uint64_t>(summary.size() - start));
+      put_record(groups, kSummaryOffset, group);
+    }
+    start = summary.size();
+  };
+  for (const Channel& channel : channels_) put(summary, channel.schema_record);
+  end_group(kSchema);
+  for (const Channel& channel : channels_) put(summary, channel.channel_record);
+  end_group(kChannel);
+  Buffer statistics, counts;
+  for (std::size_t i = 0; i < channels_.size(); ++i) {
+    put(counts, static_cast<std::uint16_t>(i + 1));
+    put(counts, static_cast<std::uint64_t>(channels_[i].messages));
+  }
+  put(statistics, messages_);
+  put(statistics, static_cast<std::uint16_t>(channels_.size()));
+  put(statistics, static_cast<std::uint32_t>(channels_.size()));
+  put(statistics, std::uint32_t{0});  // attachments
+  put(statistics, metadata_);
+  put(statistics, chunks_);
+  put(statistics, messages_ ? first_ns_ : 0);
+  put(statistics, last_ns_);
+  put(statistics, static_cast<std::uint32_t>(counts.size()));
+  put(statistics, counts);
+  put_record(summary, kStatistics, statistics);
+  end_group(kStatistics);
+  put(summary, chunk_indexes_);
+  end_group(kChunkIndex);
+  put(summary, metadata_indexes_);
+  end_group(kMetadataIndex);
+  const std::uint64_t groups_start = summary_start + summary.size();
+  put(summary, groups);
+
+  // The summary's CRC runs on into the footer, up to the CRC itself.
+  summary.push_back(kFooter);
+  put(summary, std::uint64_t{8 + 8 + 4});
+  put(summary, summary_start);
+  put(summary, groups_start);
+  put(summary, crc32(summary));
+  put(summary, kMagic);
+  write(summary);
+
+  std::FILE* file = std::exchange(file_, nullptr);
+  const bool closed = std::fclose(file) == 0;
+  const bool whole = closed && (place_ == Place::kInPlace || std::rename(written_path_.c_str(), path_.c_str()) == 0);
+  if (!whole) fail(closed ? "cannot take its name" : "cannot be written");
+}
+
+void McapWriter::write(Bytes bytes) {
+  if (!file_ || std::fwrite(bytes.data(), 1, bytes.size(), file_) != bytes.size()) fail("cannot be written");
+  offset_ += bytes.size();
+}
+
+void McapWriter::write_data(Bytes bytes) {
+  data_crc_ = crc32(bytes, data_crc_);
+  write(bytes);
+}
+
+void McapWriter::abandon() {
+  if (file_) std::fclose(std::exchange(file_, nullptr));
+  if (place_ == Place::kRenamedOnClose) std::remove(written_path_.c_str());
+}
+
+void McapWriter::fail(const char* what) {
+  const std::string why = std::strerror(errno);
+  abandon();
+  throw Error("E-TRACE-WRITE", path_, std::string(what) + " (" + why + "); its folder must exist and have room");
+}
+
+}  // namespace palmar

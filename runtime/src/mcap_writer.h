@@ -1,0 +1,63 @@
+// Writes MCAP: schemas and channels first, then chunks with CRC and message index, then the summary that lets readers
+// seek.
+#pragma once
+
+#include <cstdio>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "mcap.h"
+
+namespace palmar {
+
+class McapWriter {
+ public:
+  enum class Place {
+    kRenamedOnClose,  // under a temporary name beside `path` until close(); without close() nothing stays
+    kInPlace,  // under its own name from the start, each chunk flushed: for recorders, where a torn file is worth
+               // having
+  };
+
+  // Every function but the destructor throws Error E-TRACE-WRITE when the disk does not take the bytes.
+  explicit McapWriter(std::string path, Place place = Place::kRenamedOnClose);
+  ~McapWriter();
+  McapWriter(const McapWriter&) = delete;
+  McapWriter& operator=(const McapWriter&) = delete;
+
+  // A channel for CDR messages with its `ros2msg` schema; gives its number. All channels come before the first message.
+  std::uint16_t add_channel(const std::string& topic, const std::string& schema_name, const std::string& schema_text);
+  // Error E-TRACE-HEADER if the record would be above 1 MiB or uses the key of its own CRC.
+  void add_metadata(const std::string& name, const std::map<std::string, std::string>& values);
+  // Messages of one time always lie in one chunk, so that damage never tears a step from its contacts.
+  void add_message(std::uint16_t channel, std::uint64_t log_time_ns, mcap::Bytes payload);
+  void close();
+
+ private:
+  struct Channel {
+    std::vector<std::uint8_t> schema_record, channel_record;
+    std::uint32_t messages = 0;
+    std::vector<std::pair<std::uint64_t, std::uint64_t>> in_chunk;  // log time, offset in the chunk
+  };
+
+  void write(mcap::Bytes bytes);
+  void write_data(mcap::Bytes bytes);
+  void finish_chunk();
+  void abandon();
+  [[noreturn]] void fail(const char* what);
+
+  std::string path_, written_path_;
+  Place place_;
+  std::FILE* file_ = nullptr;
+  std::uint64_t offset_ = 0;
+  std::uint32_t data_crc_ = 0;
+  std::vector<Channel> channels_;
+  std::vector<std::uint8_t> chunk_;
+  std::uint64_t chunk_first_ns_ = 0, chunk_last_ns_ = 0;
+  std::uint64_t first_ns_ = UINT64_MAX, last_ns_ = 0, messages_ = 0;
+  std::uint32_t chunks_ = 0, metadata_ = 0;
+  std::vector<std::uint8_t> chunk_indexes_, metadata_indexes_;
+};
+
+}  // namespace palmar
