@@ -1,0 +1,115 @@
+"""The table of foreign formats, and the `import` verb."""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from palmar.errors import BadTrace, PalmarError
+from palmar.model import write_whole
+from palmar.records import Trace, write_trace
+from palmar.traces.adroit_door import COLUMNS as ADROIT_DOOR_COLUMNS
+from palmar.traces.adroit_door import read_adroit_door
+from palmar.traces.adroit_hand import adroit_hand_toml
+from palmar.traces.columns import nearest, read_header
+from palmar.traces.scenario_csv import COLUMNS as SCENARIO_COLUMNS
+from palmar.traces.scenario_csv import read_scenario_csv
+
+
+class Device(NamedTuple):
+    """A format: how to read it, what it is, and the header row that gives it away."""
+
+    read: Callable[..., Trace]
+    about: str
+    columns: list[str]
+
+
+DEVICES: dict[str, Device] = {
+    "scenario-csv": Device(
+        read_scenario_csv, "reference scenario: palm pose, 15 flexions and a phase a row", SCENARIO_COLUMNS
+    ),
+    "adroit-door": Device(
+        read_adroit_door, "CyberGlove demonstrations of the Adroit hand at a door", ADROIT_DOOR_COLUMNS
+    ),
+}
+# Not a trace: the hand that a device's angles are of, as hand TOML.
+HANDS: dict[str, tuple[Callable[..., str], str]] = {
+    "adroit-hand": (adroit_hand_toml, "adroit_hand.json, the chain of the Adroit hand, to a hand TOML"),
+}
+
+
+def import_file(path: str | Path, out: str | Path, *, format: str | None = None, **options: Any) -> dict[str, Any]:
+    """Turn a foreign log into a trace (or a hand's description into a hand TOML) and say what was done.
+
+    format: a name of DEVICES or HANDS; None takes it from the header row (or the extension .json). options go to the
+    format's reader. Returns format, out, samples, duration_s, rate_hz (None for a single sample), assumptions
+    (sentences) and changed (what: how many or how much). Raises BadTrace, PalmarError; then nothing is written.
+    """
+    path = Path(path)
+    name = format or _guess_format(path)
+    if name in HANDS:
+        convert = HANDS[name][0]
+        _check_options(name, convert, options)
+        text = convert(path, **options)
+        write_whole(out, text.encode())
+        return {"format": name, "out": str(out), "assumptions": _leading_comments(text), "changed": {}}
+    if name not in DEVICES:
+        known = [*DEVICES, *HANDS]
+        raise BadTrace(
+            "E-TRACE-FORMAT", str(path), f"format {name!r}{nearest(name, known)}; known are {', '.join(known)}"
+        )
+    read = DEVICES[name].read
+    _check_options(name, read, options)
+    trace = read(path, **options)
+    write_trace(out, trace)
+    return {"format": name, "out": str(out), **summarise(trace)}
+
+
+def summarise(trace: Trace) -> dict[str, Any]:
+    """Samples, duration, rate, assumptions and changes of a trace that was just made."""
+    rate = trace.header.get("rate_hz")
+    return {
+        "samples": len(trace.time_s),
+        "duration_s": float(trace.time_s[-1] - trace.time_s[0]),
+        "rate_hz": float(rate) if rate else None,
+        "assumptions": json.loads(trace.header["assumptions"]),
+        "changed": json.loads(trace.header.get("changed", "{}")),
+    }
+
+
+def _guess_format(path: Path) -> str:
+    """The format whose columns share most names with the header row; its reader then names what is misspelt."""
+    if path.suffix == ".json":
+        return "adroit-hand"
+    known = ", ".join([*DEVICES, *HANDS])
+    if path.suffix not in (".csv", ".tsv", ".txt"):
+        raise BadTrace(
+            "E-TRACE-FORMAT", str(path), f"extension {path.suffix!r} is of no known format; name one of {known}"
+        )
+    header = set(read_header(path))
+    shared = {name: len(header & set(device.columns)) / len(device.columns) for name, device in DEVICES.items()}
+    best = max(shared, key=lambda name: shared[name])
+    if shared[best] < 0.5:
+        raise BadTrace("E-TRACE-FORMAT", f"{path}:line 1", f"the header row is of no known format; name one of {known}")
+    return best
+
+
+def _check_options(name: str, read: Callable[..., Any], options: dict[str, Any]) -> None:
+    known = [p.name for p in inspect.signature(read).parameters.values() if p.kind is p.KEYWORD_ONLY]
+    for option in options:
+        if option not in known:
+            allowed = f"it takes {', '.join(known)}" if known else "it takes none"
+            raise PalmarError("E-CONF", option, f"no option of format {name}{nearest(option, known)}; {allowed}")
+
+
+def _leading_comments(text: str) -> list[str]:
+    """The comment lines a hand TOML starts with: what was assumed."""
+    lines = []
+    for line in text.splitlines():
+        if not line.startswith("#"):
+            break
+        lines.append(line.lstrip("# "))
+    return lines

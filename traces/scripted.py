@@ -1,0 +1,224 @@
+"""Scene script + seed -> Trace: a hand grasps whatever object it is given. The `script` verb.
+
+A scene is a TOML file in `traces/scenes`; its keys are the fields of `GraspScene`. The motion is made of minimum-jerk
+moves (Flash and Hogan 1985): s(u) = 10 u^3 - 15 u^4 + 6 u^5, at most 1.875 D / T fast over a distance D in a time T.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy.spatial.transform import Rotation
+
+from palmar.errors import PalmarError
+from palmar.model import HandModel, SphereTree, load_pack
+from palmar.records import Trace, write_trace
+from palmar.traces.columns import nearest
+from palmar.traces.device import summarise
+from palmar.traces.kinematics import Array
+from palmar.traces.place import Closing, Grasp, place_grasp
+
+SCENES = Path(__file__).parent / "scenes"
+
+
+class GraspScene(BaseModel):
+    """Approach, close, slide, hold still, leave. SI units; every key is needed, none beyond these is known."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    kind: Literal["grasp"]
+    why: str = Field(min_length=1)
+    rate_hz: float = Field(ge=50, le=8000)
+    start_m: float = Field(ge=0.01, le=0.5)
+    press_m: float = Field(ge=0.0, le=0.02)
+    squeeze_m: float = Field(ge=0.0, le=0.05)
+    slide_radial_m: float = Field(ge=0.0, le=0.05)
+    slide_distal_m: float = Field(ge=0.0, le=0.05)
+    slide_turn_rad: float = Field(ge=0.0, le=0.5)
+    vary_position_m: float = Field(ge=0.0, le=0.02)
+    vary_turn_rad: float = Field(ge=0.0, le=0.3)
+    open_rad: tuple[float, float, float]
+    fist_rad: tuple[float, float, float]
+    thumb_open_rad: tuple[float, float, float]
+    thumb_fist_rad: tuple[float, float, float]
+    approach_s: float = Field(ge=0.1, le=10)
+    close_s: float = Field(ge=0.1, le=10)
+    slide_s: float = Field(ge=0.1, le=10)
+    hold_s: float = Field(ge=0.1, le=60)
+    leave_s: float = Field(ge=0.1, le=10)
+
+
+def script(
+    scene: str | Path, pack_path: str | Path, out: str | Path, *, object: str | None = None, seed: int = 0
+) -> dict[str, Any]:
+    """Write the trace of a scene on an object of a pack; returns scene, object, seed, out and what `summarise` says.
+
+    scene: a name in `traces/scenes` or a TOML file. object: a name in the pack; may be left out if it holds one. Raises
+    PalmarError E-CONF for a scene or object that is not there or a key that is not right, BadPack for the pack.
+    """
+    parameters, where, sha256 = load_scene(scene)
+    pack = load_pack(pack_path)
+    names = list(pack.objects)
+    if object is None and len(names) != 1:
+        raise PalmarError("E-CONF", "object", f"{pack_path} holds {len(names)} objects; name one of {', '.join(names)}")
+    name = names[0] if object is None else object
+    if name not in pack.objects:
+        raise PalmarError(
+            "E-CONF", "object", f"{name!r} is not in {pack_path}{nearest(name, names)}; it holds {', '.join(names)}"
+        )
+    trace = script_trace(parameters, pack.hand, pack.objects[name], seed)
+    header = trace.header | {"object": name, "scene": where.stem, "source": where.name, "source_sha256": sha256}
+    trace = Trace(
+        **{field: getattr(trace, field) for field in Trace.__dataclass_fields__ if field != "header"}, header=header
+    )
+    write_trace(out, trace)
+    return {"scene": where.stem, "object": name, "seed": seed, "out": str(out), **summarise(trace)}
+
+
+def load_scene(scene: str | Path) -> tuple[dict[str, Any], Path, str]:
+    """A scene's keys, its file and the file's sha256. Raises PalmarError E-CONF with file, key and what is allowed."""
+    path = Path(scene)
+    if path.suffix != ".toml":
+        path = SCENES / f"{scene}.toml"
+    try:
+        content = path.read_bytes()
+    except OSError:
+        known = sorted(file.stem for file in SCENES.glob("*.toml"))
+        raise PalmarError(
+            "E-CONF",
+            str(scene),
+            f"no such scene{nearest(str(scene), known)}; known are {', '.join(known)}, or a .toml file",
+        ) from None
+    try:
+        keys = tomllib.loads(content.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise PalmarError("E-CONF", str(path), f"not TOML ({error})") from None
+    check_scene(keys, str(path))
+    return keys, path, hashlib.sha256(content).hexdigest()
+
+
+def check_scene(keys: dict[str, Any], where: str) -> GraspScene:
+    """The scene's keys with their types and ranges checked. Raises PalmarError E-CONF `where:key`."""
+    try:
+        return GraspScene.model_validate(keys)
+    except ValidationError as error:
+        # The first fault alone: an unknown key before the missing one that it was meant to be.
+        fault = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    key = ".".join(str(part) for part in fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        known = list(GraspScene.model_fields)
+        raise PalmarError("E-CONF", f"{where}:{key}", f"unknown key{nearest(key, known)}; known are {', '.join(known)}")
+    if fault["type"] == "missing":
+        raise PalmarError("E-CONF", f"{where}:{key}", "key is missing")
+    message = fault["msg"].removeprefix("Input should be ")
+    raise PalmarError("E-CONF", f"{where}:{key}", f"found {fault['input']!r}; allowed is {message}")
+
+
+def script_trace(scene: dict[str, Any], hand: HandModel, tree: SphereTree, seed: int) -> Trace:
+    """The haptic hand of a scene on one object that stands still at the origin; same input and seed, same bytes.
+
+    Raises PalmarError E-CONF if the scene is not right (see `check_scene`).
+    """
+    p = check_scene(scene, "scene")
+    opened = np.array([p.thumb_open_rad, *[p.open_rad] * 4])
+    fist = np.array([p.thumb_fist_rad, *[p.fist_rad] * 4])
+    opened, fist = (np.clip(a, hand.flexion_limit_rad[..., 0], hand.flexion_limit_rad[..., 1]) for a in (opened, fist))
+    abduction = np.clip(np.zeros(5), hand.abduction_limit_rad[:, 0], hand.abduction_limit_rad[:, 1])
+    generator = np.random.default_rng(seed)
+    vary_m = p.vary_position_m * generator.uniform(-1.0, 1.0, 2)
+    vary_rad = p.vary_turn_rad * generator.uniform(-1.0, 1.0, 3)
+    sense = generator.choice([-1.0, 1.0], 3)
+    closing = Closing(hand, opened, fist, abduction, p.press_m, p.squeeze_m)
+    grasp = place_grasp(closing, tree.leaves, vary_m, vary_rad)
+
+    seconds = {"approach": p.approach_s, "close": p.close_s, "slide": p.slide_s, "hold": p.hold_s, "leave": p.leave_s}
+    counts = {name: round(s * p.rate_hz) for name, s in seconds.items()}
+    u = {name: (np.arange(n) / n)[:, None] for name, n in counts.items()}
+    back = -p.start_m * grasp.palmar
+    held = grasp.position_m
+    turn_0 = np.zeros(3)
+
+    # Palm position, turn about the grasp (rotation vector) and closing from 0, open, to 1, grasped.
+    slide_m, slide_rad = _slide(p, grasp, sense, min_jerk(u["slide"]))
+    leave = min_jerk(u["leave"])
+    motion = {
+        "approach": (held + back * (1.0 - min_jerk(u["approach"])), turn_0, np.zeros((1, 1))),
+        "close": (held, turn_0, min_jerk(u["close"])),
+        "slide": (held + slide_m, slide_rad, np.ones((1, 1))),
+        "hold": (held, turn_0, np.ones((1, 1))),
+        "leave": (held + back * leave, turn_0, 1.0 - leave),
+    }
+    position, turn, closing = (
+        np.concatenate([np.broadcast_to(part[i], (counts[name], width)) for name, part in motion.items()])
+        for i, width in enumerate((3, 3, 1))
+    )
+    rotation = np.roll((Rotation.from_rotvec(turn) * Rotation.from_matrix(grasp.rotation)).as_quat(), 1, axis=1)
+    # One half of the quaternions, so that neighbours never differ by their sign.
+    rotation *= np.where(rotation @ rotation[0] < 0, -1.0, 1.0)[:, None]
+    flexion = opened + closing[:, :, None] * (grasp.flexion_rad - opened)
+
+    count = len(position)
+    ends = np.cumsum(list(counts.values()))
+    phases = [
+        {
+            "name": name,
+            "start_s": float((end - counts[name]) / p.rate_hz),
+            "end_s": float(min(end, count - 1) / p.rate_hz),
+        }
+        for name, end in zip(counts, ends, strict=True)
+    ]
+    header = {
+        "device": "script",
+        "hand": str(hand.about.get("name", "")),
+        "side": str(hand.about.get("side", "right")),
+        "rate_hz": f"{p.rate_hz:g}",
+        "scene": p.kind,
+        "seed": str(seed),
+        "assumptions": json.dumps(_sentences(p, grasp)),
+        "phases": json.dumps(phases),
+    }
+    return Trace(
+        header=header,
+        time_s=np.arange(count) / p.rate_hz,
+        palm_position_m=position,
+        palm_rotation_wxyz=rotation,
+        flexion_rad=flexion,
+        abduction_rad=np.tile(abduction, (count, 1)),
+        tracked=np.ones(count, dtype=bool),
+        has_object_pose=np.zeros(count, dtype=bool),
+        object_position_m=np.zeros((count, 3)),
+        object_rotation_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+    )
+
+
+def min_jerk(u: Array) -> Array:
+    """10 u^3 - 15 u^4 + 6 u^5: 0 at u = 0, 1 at u = 1, at rest at both; slope at most 1.875, curvature 5.774."""
+    return u**3 * (10.0 + u * (6.0 * u - 15.0))
+
+
+def _slide(p: GraspScene, grasp: Grasp, sense: Array, s: Array) -> tuple[Array, Array]:
+    """Once round a figure of eight along the surface, with a turn to and fro about the palm's normal; (n, 3) m and rad.
+
+    The turn is about the palm's middle, not about the frame's origin, which may lie at the wrist.
+    """
+    once, twice = np.sin(2 * np.pi * s), np.sin(4 * np.pi * s)
+    turn = sense[2] * p.slide_turn_rad * once * grasp.palmar
+    arm = grasp.middle_m - grasp.position_m
+    swing = arm - Rotation.from_rotvec(turn).apply(arm)
+    along = sense[0] * p.slide_radial_m * once * grasp.radial + sense[1] * p.slide_distal_m * twice * grasp.distal
+    return along + swing, turn
+
+
+def _sentences(p: GraspScene, grasp: Grasp) -> list[str]:
+    return [
+        f"The palm starts {p.start_m * 1e3:g} mm from first contact, on the side where most fingers get hold.",
+        f"The haptic palm is pressed {p.press_m * 1e3:g} mm into the leaf spheres; {int((grasp.hold > 0).sum())} of 5 "
+        f"fingers reach the object by closing, until {p.squeeze_m * 1e3:g} mm deep or to the full fist.",
+        "The object stands still at the origin.",
+    ]
