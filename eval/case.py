@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from palmar.errors import BadPack, BadTrace
 from palmar.eval.gap import Flags, Mesh
 from palmar.eval.judge import Shape, graphic_poses, mesh_gap, shape_in_object, sphere_gap

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
 from palmar.eval.case import Case, NotMeasured
 from palmar.eval.judge import fingertip_force, fingertips, graphic_poses, haptic_poses
 

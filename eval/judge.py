@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
 from palmar.eval.gap import Flags, Mesh, capsule_mesh_gap, capsule_point_gap
 from palmar.model import AssetPack, HandModel
 from palmar.records import Run
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 STRIDES = (32, 4, 1)  # steps between judged steps; what lies between is skipped where a bound allows it
@@ -297,11 +298,13 @@ def wrong_side(shape: Shape, mesh: Mesh, phalanx_gap: Array, palm_gap: Array) ->
     wrong[i[_touches_inside(mesh, shape.c1[i, k], shape.c2[i, k])]] = True
 
     moved, palm_moved = carried(shape[:-1], shape[1:])
-    for k in range(15):
-        at = np.flatnonzero((moved[:, k] >= phalanx_gap[:-1, k] + least_radius[k]) & ~wrong[1:])
+    for link in range(15):
+        at = np.flatnonzero((moved[:, link] >= phalanx_gap[:-1, link] + least_radius[link]) & ~wrong[1:])
         if len(at):
-            along = np.linspace(0, 1, 1 + int(np.ceil(_norm(shape.c2[0, k] - shape.c1[0, k]) / SWEEP_M)))[:, None]
-            before, after = ((1 - along) * shape.c1[t, k, None] + along * shape.c2[t, k, None] for t in (at, at + 1))
+            along = np.linspace(0, 1, 1 + int(np.ceil(_norm(shape.c2[0, link] - shape.c1[0, link]) / SWEEP_M)))[:, None]
+            before, after = (
+                (1 - along) * shape.c1[t, link, None] + along * shape.c2[t, link, None] for t in (at, at + 1)
+            )
             crossed = _touches_inside(mesh, before.reshape(-1, 3), after.reshape(-1, 3)).reshape(len(at), -1)
             wrong[at[crossed.any(axis=1)] + 1] = True
     i, k = np.nonzero((palm_moved >= palm_gap[:-1] + shape.palm_radius) & ~wrong[1:, None])

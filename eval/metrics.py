@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from palmar.eval import force, motion, penetration, timing
 from palmar.eval.case import Case, NotMeasured
 from palmar.model import AssetPack

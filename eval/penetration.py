@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
 from palmar.eval.case import Case, NotMeasured
 from palmar.eval.judge import gap_to_mesh, wrong_side
 
