@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+
 from palmar.eval.panels import Panel
 
 COLUMN_WIDTH_IN = 3.5  # one column of an IEEE journal

@@ -9,11 +9,12 @@ from string import Template
 from typing import Any
 
 import numpy as np
+from plotly.offline import get_plotlyjs
+
 from palmar.eval.explain import MEANING
 from palmar.eval.panels import INPUT_BITS, Judged, hard_steps, panels, worst_steps
 from palmar.eval.view3d import frame_steps, hand_shape, object_shape, pack_array, poses, three_js
 from palmar.model import FINGERS
-from plotly.offline import get_plotlyjs
 
 TEMPLATES = Path(__file__).parent / "template"
 SCRIPTS = ("view.js", "charts.js", "page.js")

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from palmar.model import FINGERS, AssetPack
 from palmar.records import STATUS, Run
 

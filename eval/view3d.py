@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from trimesh.viewer.notebook import scene_to_html
+
 from palmar.errors import PalmarError
 from palmar.eval.judge import Poses, phalanx_capsules
 from palmar.model import HandModel, SphereTree
 from palmar.records import Run
-from trimesh.viewer.notebook import scene_to_html
 
 FRAME_RATE_HZ = 100.0
 MOST_FRAMES = 12_000  # two minutes at the full rate; a longer run is shown at a lower one

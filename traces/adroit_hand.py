@@ -233,4 +233,4 @@ def _numbers(values: Array | float) -> str:
     """A number or nested lists of numbers, as TOML, with every bit kept."""
     if np.ndim(values) == 0:
         return repr(float(values) + 0.0)  # + 0.0 turns -0.0 into 0.0
-    return "[" + ", ".join(_numbers(v) for v in values) + "]"
+    return "[" + ", ".join(_numbers(v) for v in np.asarray(values)) + "]"

@@ -10,9 +10,9 @@ from palmar.model import HandModel
 
 Array = NDArray[np.float64]
 
-KEEP_ABDUCTION_M_PER_RAD = (
-    0.04  # one radian counts like four centimetres of miss: no jump is left in the door recordings
-)
+# A radian away from the start counts like 3 cm of miss. Without it a curled or a straight finger, whose points hardly feel
+# one of the angles, turned three times as fast as the recorded one did.
+KEEP_M_PER_RAD = 0.03
 
 
 def turn_finger(hand: HandModel, finger: int, angles_rad: Array) -> tuple[Array, Array]:
@@ -77,25 +77,24 @@ def finger_jacobian(hand: HandModel, finger: int, angles_rad: Array) -> Array:
 def fit_finger(hand: HandModel, finger: int, points_m: Array, start_rad: Array) -> Array:
     """Angles inside the model's limits that bring the finger nearest to its wanted points, least squares a frame.
 
-    points_m: (n, 3, 3) wanted second joint, third joint and tip in the palm frame; start_rad: (n, 4). Abduction is also
-    held near its start: a curled finger hardly feels it, so the points alone would let it jump from limit to limit.
-    Projected Levenberg-Marquardt, all frames at once. Returns (n, 4) radians.
+    points_m: (n, 3, 3) wanted second joint, third joint and tip in the palm frame; start_rad: (n, 4), near which the
+    angles are held (KEEP_M_PER_RAD). Projected Levenberg-Marquardt, all frames at once. Returns (n, 4) radians.
     """
     limit = np.vstack([hand.abduction_limit_rad[finger], hand.flexion_limit_rad[finger]])
     low, high = limit[:, 0], limit[:, 1]
     count = len(points_m)
-    keep = np.diag([KEEP_ABDUCTION_M_PER_RAD, 0.0, 0.0, 0.0])[:1]
+    keep = KEEP_M_PER_RAD * np.eye(4)
 
     def residual(angles: Array) -> Array:
         miss = (finger_points(hand, finger, angles) - points_m).reshape(count, 9)
-        return np.concatenate([miss, (angles - start_rad) @ keep.T], axis=1)
+        return np.concatenate([miss, (angles - start_rad) @ keep], axis=1)
 
     angles = np.clip(start_rad, low, high)
     error = residual(angles)
     damping = np.full(count, 1e-3)
     for _ in range(30):
         by_points = finger_jacobian(hand, finger, angles).reshape(count, 9, 4)
-        jacobian = np.concatenate([by_points, np.broadcast_to(keep, (count, 1, 4))], axis=1)
+        jacobian = np.concatenate([by_points, np.broadcast_to(keep, (count, 4, 4))], axis=1)
         gradient = np.einsum("nij,ni->nj", jacobian, error)
         # An angle at its limit that wants to go farther stays out of the step.
         free = ~((angles <= low) & (gradient > 0) | (angles >= high) & (gradient < 0))

@@ -75,8 +75,11 @@ def place_grasp(closing: Closing, leaves: Array, vary_m: Array, vary_rad: Array)
     rotation, target, anchor_m = best
     turned = Rotation.from_rotvec(vary_rad).as_matrix() @ rotation
     grasp = _grasp(closing, leaves, turned, target, anchor_m, vary_m, CLOSING_STEPS)
-    # A thing smaller than the variation may be passed by; the chosen grasp itself meets it.
-    return grasp or _grasp(closing, leaves, rotation, target, anchor_m, np.zeros(2), CLOSING_STEPS)
+    if grasp is None:
+        # A thing smaller than the variation is passed by; the chosen grasp itself meets it.
+        grasp = _grasp(closing, leaves, rotation, target, anchor_m, np.zeros(2), CLOSING_STEPS)
+    assert grasp is not None
+    return grasp
 
 
 def palm_axes(hand: HandModel) -> Array:

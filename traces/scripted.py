@@ -154,14 +154,14 @@ def script_trace(scene: dict[str, Any], hand: HandModel, tree: SphereTree, seed:
         "hold": (held, turn_0, np.ones((1, 1))),
         "leave": (held + back * leave, turn_0, 1.0 - leave),
     }
-    position, turn, closing = (
+    position, turn, closed = (
         np.concatenate([np.broadcast_to(part[i], (counts[name], width)) for name, part in motion.items()])
         for i, width in enumerate((3, 3, 1))
     )
     rotation = np.roll((Rotation.from_rotvec(turn) * Rotation.from_matrix(grasp.rotation)).as_quat(), 1, axis=1)
     # One half of the quaternions, so that neighbours never differ by their sign.
     rotation *= np.where(rotation @ rotation[0] < 0, -1.0, 1.0)[:, None]
-    flexion = opened + closing[:, :, None] * (grasp.flexion_rad - opened)
+    flexion = opened + closed[:, :, None] * (grasp.flexion_rad - opened)
 
     count = len(position)
     ends = np.cumsum(list(counts.values()))

@@ -21,7 +21,8 @@ class Charts {
     this.phases = phases;
     this.time = 0;
     Plotly.newPlot(this.plot, this.traces(), this.layout(), {
-      displaylogo: false, responsive: true, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+      displaylogo: false, responsive: true,
+      modeBarButtons: [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]],
     });
     this.plot.on("plotly_click", event => onTime(event.points[0].x));
     this.plot.on("plotly_relayout", () => this.moveCursor(this.time));

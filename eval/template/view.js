@@ -1,6 +1,7 @@
 // 3-D replay. Lengths are millimetres on screen, metres in the data: three's controls ignore moves far below 1 unit.
 const MM = 1000;
 const FORCE_MM_PER_N = 10;
+const SMOOTH_ABOVE_FACES = 8000;
 const SKIN = 0xe3ae8c, HAPTIC = 0x2f6fde, OBJECT = 0x9ba6b3, SPHERES = 0x7fa88b, FORCE = 0xc8102e;
 
 function decode(packed) {
@@ -31,14 +32,14 @@ function capsuleMesh(c, origin) {
   const seam = Math.asin(Math.max(-1, Math.min(1, (c[3] - c[7]) / length)));
   const profile = [];
   const arc = (from, to, radius, height) => {
-    for (let i = 0; i <= 10; i++) {
-      const angle = from + (to - from) * i / 10;
+    for (let i = 0; i <= 6; i++) {
+      const angle = from + (to - from) * i / 6;
       profile.push(new THREE.Vector2(Math.max(0, radius * Math.cos(angle)), height + radius * Math.sin(angle)));
     }
   };
   arc(-Math.PI / 2, seam, c[3], 0);
   arc(seam, Math.PI / 2, c[7], length);
-  const geometry = new THREE.LatheGeometry(profile, 28);
+  const geometry = new THREE.LatheGeometry(profile, 20);
   const turn = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(0, 1, 0), b.clone().sub(a).normalize());
   return geometry.applyQuaternion(turn).translate(a.x, a.y, a.z);
 }
@@ -52,7 +53,7 @@ function buildHand(shape, passes) {
   const joint = i => Array.from(joints.subarray(3 * i, 3 * i + 3));
   const vector = (values, i) => new THREE.Vector3(values[3 * i], values[3 * i + 1], values[3 * i + 2]);
 
-  const ball = new THREE.IcosahedronGeometry(1, 4);
+  const ball = new THREE.SphereGeometry(1, 18, 12);
   for (const { material, order } of passes) {
     const spheres = new THREE.InstancedMesh(ball, material, palm.length / 4);
     for (let i = 0; i < palm.length / 4; i++) {
@@ -101,14 +102,18 @@ function buildHand(shape, passes) {
 }
 
 function buildObject(shape) {
-  const mesh = new THREE.BufferGeometry();
-  mesh.setAttribute("position", new THREE.BufferAttribute(decode(shape.vertices_m), 3));
-  mesh.setIndex(new THREE.BufferAttribute(decode(shape.faces), 1));
-  const solid = new THREE.Mesh(mesh, new THREE.MeshStandardMaterial({ color: OBJECT, flatShading: true, roughness: 0.75 }));
+  const indexed = new THREE.BufferGeometry();
+  indexed.setAttribute("position", new THREE.BufferAttribute(decode(shape.vertices_m), 3));
+  indexed.setIndex(new THREE.BufferAttribute(decode(shape.faces), 1));
+  // A coarse mesh shows its facets: every corner gets a vertex of its own. A dense one is shaded smoothly.
+  const mesh = indexed.index.count < 3 * SMOOTH_ABOVE_FACES ? indexed.toNonIndexed() : indexed;
+  mesh.computeVertexNormals();
+  // Lambert is lit at the vertices, which software rendering can afford.
+  const solid = new THREE.Mesh(mesh, new THREE.MeshLambertMaterial({ color: OBJECT }));
   const spheres = decode(shape.spheres_m), count = spheres.length / 4;
   // Few triangles each when there are many: software rendering must keep up too.
-  const ball = new THREE.IcosahedronGeometry(1, count > 1500 ? 2 : 4);
-  const balls = new THREE.InstancedMesh(ball, new THREE.MeshStandardMaterial({ color: SPHERES, roughness: 0.8 }), count);
+  const ball = count > 1500 ? new THREE.SphereGeometry(1, 9, 6) : new THREE.SphereGeometry(1, 18, 12);
+  const balls = new THREE.InstancedMesh(ball, new THREE.MeshLambertMaterial({ color: SPHERES }), count);
   for (let i = 0; i < count; i++) {
     const [x, y, z, r] = spheres.row(i);
     balls.setMatrixAt(i, new THREE.Matrix4().makeScale(r, r, r).setPosition(x, y, z));
@@ -133,8 +138,8 @@ class View {
     // The haptic hand: where the object hides it, a flat tint, once a pixel and never over the graphic hand (stencil 2);
     // elsewhere first its depth alone, then its front surface, pushed back a little so that the graphic hand wins where
     // both agree.
-    const skin = new THREE.MeshStandardMaterial({
-      color: SKIN, roughness: 0.65,
+    const skin = new THREE.MeshLambertMaterial({
+      color: SKIN,
       stencilWrite: true, stencilFunc: THREE.AlwaysStencilFunc, stencilRef: 2, stencilZPass: THREE.ReplaceStencilOp,
     });
     const behind = { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 2 };
@@ -143,8 +148,8 @@ class View {
       stencilWrite: true, stencilFunc: THREE.EqualStencilFunc, stencilRef: 0, stencilZPass: THREE.IncrementStencilOp,
     });
     const depth = new THREE.MeshBasicMaterial({ colorWrite: false, ...behind });
-    const front = new THREE.MeshStandardMaterial({
-      color: HAPTIC, transparent: true, opacity: 0.5, roughness: 0.6, depthFunc: THREE.LessEqualDepth, ...behind,
+    const front = new THREE.MeshLambertMaterial({
+      color: HAPTIC, transparent: true, opacity: 0.5, depthFunc: THREE.LessEqualDepth, ...behind,
     });
     depth.transparent = true; // drawn after everything opaque
     this.hand = buildHand(handShape, [{ material: skin, order: 0 }]);

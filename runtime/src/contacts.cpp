@@ -56,8 +56,8 @@ bool gather_candidates(const HandModel& hand, const PalmTree& palm, const Collis
 
   for (int link = 1; link < kLinks; ++link) {
     const Capsule& c = at.phalanx[link - 1];
-    const int count = object.tree.find(capsule_query(c.c1, c.c2, c.r1, c.r2, margin), out.found.data(), kFoundCapacity,
-                                       visited);
+    const int count =
+        object.tree.find(capsule_query(c.c1, c.c2, c.r1, c.r2, margin), out.found.data(), kFoundCapacity, visited);
     if (count > kFoundCapacity) return false;
     for (int i = 0; i < count; ++i) {
       const Sphere& sphere = object.leaves[out.found[i]];
@@ -124,7 +124,8 @@ bool linearise(const HandModel& hand, const Candidates& candidates, const HandPl
       for (int i = candidates.link_start[link]; i < candidates.link_start[link + 1]; ++i) {
         if (gap[i] > limit) continue;
         if (rows.count == rows.capacity) return false;
-        const CapsuleGap c = capsule_sphere_gap(at.phalanx[link - 1], candidates.pairs[i].center, candidates.pairs[i].radius);
+        const CapsuleGap c =
+            capsule_sphere_gap(at.phalanx[link - 1], candidates.pairs[i].center, candidates.pairs[i].radius);
         const int row = rows.count++;
         put_palm(row, c.axis, c.normal);
         const auto turn_about = [&](const Vec3& axis, const Vec3& joint) {
@@ -132,8 +133,7 @@ bool linearise(const HandModel& hand, const Candidates& candidates, const HandPl
         };
         rows.g[kPalmVariables][row] = turn_about(at.abduction_axis[f], at.joint[f][0]);
         for (int j = 0; j < kPhalanges; ++j)
-          rows.g[kPalmVariables + 1 + j][row] =
-              j <= phalanx ? turn_about(at.flexion_axis[f][j], at.joint[f][j]) : 0.0;
+          rows.g[kPalmVariables + 1 + j][row] = j <= phalanx ? turn_about(at.flexion_axis[f][j], at.joint[f][j]) : 0.0;
         put_bound(row, gap[i]);
         row_candidate[row] = i;
       }

@@ -12,8 +12,8 @@
 
 namespace palmar {
 
-// Pairs within `margin` of where the hand was when they were gathered. Complete: as long as no link has moved farther than
-// `margin` from there, a pair that is not in the list cannot touch.
+// Pairs within `margin` of where the hand was when they were gathered. Complete: as long as no link has moved farther
+// than `margin` from there, a pair that is not in the list cannot touch.
 struct Candidates {
   explicit Candidates(int capacity);
 
@@ -44,9 +44,9 @@ bool gather_candidates(const HandModel& hand, const PalmTree& palm, const Collis
 // Exact gaps of all candidates at a placement, into `gap` (count long). Returns the smallest (+infinity for none).
 double evaluate_gaps(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, double* gap);
 
-// One row for each candidate with gap <= limit: the linearised gap may not fall below `aim`, or below what it is now if it
-// is between 0 and `aim`; `push_out` asks for `aim` even where that means moving away. Row i is candidate row_candidate[i].
-// False when the rows do not fit.
+// One row for each candidate with gap <= limit: the linearised gap may not fall below `aim`, or below what it is now if
+// it is between 0 and `aim`; `push_out` asks for `aim` even where that means moving away. Row i is candidate
+// row_candidate[i]. False when the rows do not fit.
 bool linearise(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, const double* gap,
                double limit, double aim, bool push_out, QpRows& rows, std::int32_t* row_candidate);
 

@@ -18,7 +18,8 @@ struct Forces {
 Forces spring_forces(const HandModel& hand, const Configuration& graphic, const HandPlacement& graphic_at,
                      const Configuration& haptic, const HandPlacement& haptic_at);
 
-// The paper's Eq. 14 for one contact: stiffness |p_g - p_h| along the normal, p_h the same material point on the haptic hand.
+// The paper's Eq. 14 for one contact: stiffness |p_g - p_h| along the normal, p_h the same material point on the haptic
+// hand.
 Vec3 equation14_force(const HandModel& hand, int link, const Vec3& point, const Vec3& normal,
                       const HandPlacement& graphic_at, const HandPlacement& haptic_at);
 

@@ -8,10 +8,10 @@
 namespace palmar {
 
 struct CapsuleGap {
-  double gap;    // metres, negative inside
-  Vec3 axis;     // the point of the capsule's axis whose ball decides
-  double radius; // of that ball
-  Vec3 normal;   // unit, from the sphere's centre to the axis point
+  double gap;     // metres, negative inside
+  Vec3 axis;      // the point of the capsule's axis whose ball decides
+  double radius;  // of that ball
+  Vec3 normal;    // unit, from the sphere's centre to the axis point
 };
 
 // Gap of the sphere (o, r). The capsule is the union of balls about its axis, so the gap is

@@ -40,11 +40,11 @@ struct Finger {
 struct HandModel {
   std::vector<PalmSphere> palm;
   std::array<Finger, kFingers> finger;
-  double palm_stiffness = 1000;           // N / m
-  double palm_rotation_stiffness = 10;    // N m / rad
-  Vec3 palm_low, palm_high;               // box around the palm spheres' centres
+  double palm_stiffness = 1000;         // N / m
+  double palm_rotation_stiffness = 10;  // N m / rad
+  Vec3 palm_low, palm_high;             // box around the palm spheres' centres
   double palm_radius_max = 0;
-  double reach = 0;                       // no point of the hand is farther from the palm's origin, in any pose
+  double reach = 0;  // no point of the hand is farther from the palm's origin, in any pose
 
   // Fills the box, the largest radius and the reach from the rest.
   void finish();
@@ -83,8 +83,9 @@ struct HandPlacement {
 
 HandPlacement place_hand(const HandModel& hand, const Configuration& q);
 
-// No point of link `l` moved farther than this between two placements: end spheres for a phalanx (points of its axis move by
-// interpolation between them), the corners of the palm's box for the palm (displacement is convex in the point).
+// No point of link `l` moved farther than this between two placements: end spheres for a phalanx (points of its axis
+// move by interpolation between them), the corners of the palm's box for the palm (displacement is convex in the
+// point).
 double link_motion(const HandModel& hand, const HandPlacement& a, const HandPlacement& b, int link);
 double largest_motion(const HandModel& hand, const HandPlacement& a, const HandPlacement& b);
 

@@ -24,9 +24,7 @@ struct Tensor {
   std::string dtype;
   std::vector<std::size_t> shape;
   const unsigned char* bytes;
-  std::size_t size() const {
-    return std::accumulate(shape.begin(), shape.end(), std::size_t(1), std::multiplies<>());
-  }
+  std::size_t size() const { return std::accumulate(shape.begin(), shape.end(), std::size_t(1), std::multiplies<>()); }
 };
 
 struct File {
@@ -128,7 +126,8 @@ std::vector<double> read_numbers(const File& file, const std::string& name, cons
 std::vector<Sphere> read_spheres(const File& file, const std::string& name, std::size_t most) {
   const std::vector<double> v = read_numbers(file, name, {0, 4});
   if (v.size() / 4 > most)
-    fail("E-PACK-SIZE", file.path + ":" + name, std::to_string(v.size() / 4) + " spheres; at most " + std::to_string(most));
+    fail("E-PACK-SIZE", file.path + ":" + name,
+         std::to_string(v.size() / 4) + " spheres; at most " + std::to_string(most));
   std::vector<Sphere> spheres;
   for (std::size_t i = 0; i < v.size(); i += 4) {
     if (!(v[i + 3] > 0))
@@ -140,7 +139,8 @@ std::vector<Sphere> read_spheres(const File& file, const std::string& name, std:
 
 HandModel read_hand(const File& file) {
   HandModel hand;
-  for (const Sphere& s : read_spheres(file, "hand/palm_spheres_m", kPalmLimit)) hand.palm.push_back({s.center, s.radius});
+  for (const Sphere& s : read_spheres(file, "hand/palm_spheres_m", kPalmLimit))
+    hand.palm.push_back({s.center, s.radius});
   const auto joint = read_numbers(file, "hand/joint_m", {5, 3, 3});
   const auto axis = read_numbers(file, "hand/flexion_axis", {5, 3, 3});
   const auto abduction = read_numbers(file, "hand/abduction_axis", {5, 3});
@@ -163,7 +163,8 @@ HandModel read_hand(const File& file) {
   for (int f = 0; f < kFingers; ++f) {
     Finger& finger = hand.finger[f];
     finger.abduction_axis = unit(vec(abduction, f), "hand/abduction_axis");
-    finger.abduction_limit = check_limit({abduction_limit[2 * f], abduction_limit[2 * f + 1]}, "hand/abduction_limit_rad");
+    finger.abduction_limit =
+        check_limit({abduction_limit[2 * f], abduction_limit[2 * f + 1]}, "hand/abduction_limit_rad");
     for (int j = 0; j < kPhalanges; ++j) {
       const int i = 3 * f + j;
       finger.joint[j] = vec(joint, i);
@@ -173,8 +174,7 @@ HandModel read_hand(const File& file) {
       if (!(r1 > 0 && r2 > 0 && (e - d).norm() > 0))
         fail("E-PACK-VALUE", file.path + ":hand/phalanx_m", "radii and lengths are above 0");
       finger.phalanx[j] = capsule_of_frustum(d, e, r1, r2);
-      finger.flexion_limit[j] =
-          check_limit({flexion_limit[2 * i], flexion_limit[2 * i + 1]}, "hand/flexion_limit_rad");
+      finger.flexion_limit[j] = check_limit({flexion_limit[2 * i], flexion_limit[2 * i + 1]}, "hand/flexion_limit_rad");
       finger.stiffness[j] = stiffness[i];
       if (!(stiffness[i] > 0))
         fail("E-PACK-VALUE", file.path + ":hand/joint_stiffness_n_m_per_rad", "stiffness is above 0");
@@ -193,7 +193,8 @@ AssetPack read_pack(const std::string& path) {
   AssetPack pack;
   pack.hand = read_hand(file);
   const auto text = [](const Json& from, const char* key) {
-    return from.is_object() && from.contains(key) && from[key].is_string() ? from[key].get<std::string>() : std::string();
+    return from.is_object() && from.contains(key) && from[key].is_string() ? from[key].get<std::string>()
+                                                                           : std::string();
   };
   if (file.manifest.contains("hand")) {
     pack.hand_name = text(file.manifest["hand"], "name");
@@ -230,8 +231,9 @@ const std::vector<Sphere>& find_level(const AssetPack& pack, const std::string& 
   const PackObject& tree = pack.objects.at(name);
   const int count = int(tree.levels.size());
   if (level < -1 || level >= count)
-    fail("E-PACK-LEVEL", path, "level " + std::to_string(level) + " asked, but '" + name + "' has levels 0 to " +
-                                   std::to_string(count - 1) + " (-1 for the leaves)");
+    fail("E-PACK-LEVEL", path,
+         "level " + std::to_string(level) + " asked, but '" + name + "' has levels 0 to " + std::to_string(count - 1) +
+             " (-1 for the leaves)");
   return tree.levels[level < 0 ? count - 1 : level];
 }
 

@@ -20,8 +20,8 @@ struct AssetPack {
   std::map<std::string, PackObject> objects;
 };
 
-// Throws Error (E-PACK-...) that names the file, the tensor, and what is allowed. Checks everything once, so that nothing need
-// be checked in a step.
+// Throws Error (E-PACK-...) that names the file, the tensor, and what is allowed. Checks everything once, so that
+// nothing need be checked in a step.
 AssetPack read_pack(const std::string& path);
 
 // The named object's spheres at a level (-1 for the leaves; "" for the only object). Throws Error.

@@ -92,8 +92,10 @@ struct PySession {
       nb::dict row;
       row["link"] = c.link;
       row["object_sphere"] = c.object_sphere;
-      if (c.palm_sphere == UINT32_MAX) row["palm_sphere"] = nb::none();
-      else row["palm_sphere"] = c.palm_sphere;
+      if (c.palm_sphere == UINT32_MAX)
+        row["palm_sphere"] = nb::none();
+      else
+        row["palm_sphere"] = c.palm_sphere;
       row["gap_m"] = c.gap_m;
       row["force_n"] = c.force_n;
       row["point_m"] = array(c.point_m.data(), {3});
@@ -107,8 +109,8 @@ struct PySession {
   Session session;
 };
 
-nb::dict py_replay(const std::string& pack, const std::string& trace, const std::string& out,
-                   const std::string& object, nb::dict settings, const Header& header,
+nb::dict py_replay(const std::string& pack, const std::string& trace, const std::string& out, const std::string& object,
+                   nb::dict settings, const Header& header,
                    std::optional<std::function<bool(std::uint64_t, std::uint64_t)>> progress) {
   const Settings parsed = parse_settings(to_json(settings));
   ReplaySummary summary;

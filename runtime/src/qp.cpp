@@ -46,15 +46,16 @@ struct Solver {
   double l[kVariables][kVariables];  // its Cholesky factor
   std::array<double, kVariables> u;  // multipliers
 
-  const double* weight_of(int finger) const { return &problem.inverse_weight[kPalmVariables + kFingerVariables * finger]; }
+  const double* weight_of(int finger) const {
+    return &problem.inverse_weight[kPalmVariables + kFingerVariables * finger];
+  }
 
   double product(const ActiveRow& p, const ActiveRow& q) const {
     double sum = 0;
     for (int k = 0; k < kPalmVariables; ++k) sum += p.g[k] * q.g[k] * problem.inverse_weight[k];
     if (p.finger >= 0 && p.finger == q.finger) {
       const double* w = weight_of(p.finger);
-      for (int k = 0; k < kFingerVariables; ++k)
-        sum += p.g[kPalmVariables + k] * q.g[kPalmVariables + k] * w[k];
+      for (int k = 0; k < kFingerVariables; ++k) sum += p.g[kPalmVariables + k] * q.g[kPalmVariables + k] * w[k];
     }
     return sum;
   }
@@ -80,6 +81,34 @@ struct Solver {
     add(n, 1.0);
     for (int j = 0; j < count; ++j) add(active[j], -r[j]);
     for (int v = 0; v < kVariables; ++v) x[v] += t * problem.inverse_weight[v] * z[v];
+  }
+
+  // x from the multipliers alone, then multipliers from what the active rows still lack: two rounds of refinement.
+  // Moves add up rounding; weights six decades apart would show it in the fourth digit.
+  void refine(Change& x) {
+    for (int round = 0; round < 3; ++round) {
+      Change z{};
+      for (int j = 0; j < count; ++j) {
+        const ActiveRow& p = active[j];
+        for (int k = 0; k < kPalmVariables; ++k) z[k] += u[j] * p.g[k];
+        if (p.finger >= 0)
+          for (int k = 0; k < kFingerVariables; ++k)
+            z[kPalmVariables + kFingerVariables * p.finger + k] += u[j] * p.g[kPalmVariables + k];
+      }
+      for (int v = 0; v < kVariables; ++v) x[v] = problem.target[v] + problem.inverse_weight[v] * z[v];
+      if (round == 2) break;
+      double w[kVariables];
+      for (int j = 0; j < count; ++j) {
+        double sum = active[j].b - value(active[j], x);
+        for (int k = 0; k < j; ++k) sum -= l[j][k] * w[k];
+        w[j] = sum / l[j][j];
+      }
+      for (int j = count; j-- > 0;) {
+        for (int k = j + 1; k < count; ++k) w[j] -= l[k][j] * w[k];
+        w[j] /= l[j][j];
+        u[j] = std::max(0.0, u[j] + w[j]);
+      }
+    }
   }
 
   void factor_from(int first) {
@@ -137,7 +166,8 @@ struct Solver {
       const int begin = rows.group_start[group], end = rows.group_start[group + 1];
       if (begin == end) continue;
       if (group > 0)
-        std::copy_n(x.begin() + kPalmVariables + kFingerVariables * (group - 1), kFingerVariables, point + kPalmVariables);
+        std::copy_n(x.begin() + kPalmVariables + kFingerVariables * (group - 1), kFingerVariables,
+                    point + kPalmVariables);
       group_violations(g, rows.b.data(), point, begin, end, group > 0 ? kRowVariables : kPalmVariables, violation);
       for (int i = begin; i < end; ++i) {
         if (violation[i] > most) {
@@ -188,7 +218,14 @@ QpResult solve_qp(const QpProblem& problem, const QpRows& rows, double tolerance
   };
 
   ActiveRow n;
-  while (solver.most_violated(result.x, n)) {
+  bool refined = false;
+  for (;;) {
+    if (!solver.most_violated(result.x, n)) {
+      if (refined || solver.count == 0) break;
+      solver.refine(result.x);
+      refined = true;
+      continue;
+    }
     double u_new = 0;
     for (;;) {
       if (++result.iterations > iteration_limit) return finish(QpStatus::iteration_limit);
@@ -222,8 +259,8 @@ QpResult solve_qp(const QpProblem& problem, const QpRows& rows, double tolerance
         }
       }
       if (dependent && blocking < 0) return finish(QpStatus::infeasible);
-      const double full = dependent ? std::numeric_limits<double>::infinity()
-                                    : (n.b - solver.value(n, result.x)) / curvature;
+      const double full =
+          dependent ? std::numeric_limits<double>::infinity() : (n.b - solver.value(n, result.x)) / curvature;
       const double t = std::min(partial, full);
       if (!dependent) solver.move(result.x, n, r, t);
       for (int j = 0; j < q; ++j) solver.u[j] -= t * r[j];

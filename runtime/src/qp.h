@@ -9,14 +9,15 @@
 
 namespace palmar {
 
-// Rows g . x >= b. A row touches the six palm variables and the four of its finger (none for finger < 0). Rows of one finger
-// lie together: fingers -1, 0, .. 4 start at group_start[0], [1], .. [5]; group_start[6] is the end.
+// Rows g . x >= b. A row touches the six palm variables and the four of its finger (none for finger < 0). Rows of one
+// finger lie together: fingers -1, 0, .. 4 start at group_start[0], [1], .. [5]; group_start[6] is the end.
 struct QpRows {
   explicit QpRows(int capacity_);
   int capacity;
   int count = 0;
   std::array<int, kFingers + 2> group_start{};
-  std::array<std::vector<double>, kPalmVariables + kFingerVariables> g;  // structure of arrays: one vector a coefficient
+  std::array<std::vector<double>, kPalmVariables + kFingerVariables>
+      g;  // structure of arrays: one vector a coefficient
   std::vector<double> b;
 };
 

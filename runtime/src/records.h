@@ -1,4 +1,5 @@
-// What a trace and a run hold, as plain values. SI units; quaternions w x y z; fingers thumb to little, joints outwards.
+// What a trace and a run hold, as plain values. SI units; quaternions w x y z; fingers thumb to little, joints
+// outwards.
 #pragma once
 
 #include <array>
@@ -45,8 +46,8 @@ struct Contact {
   std::uint32_t palm_sphere = UINT32_MAX;
   double gap_m = 0;
   double force_n = 0;
-  std::array<double, 3> point_m{};   // world, on the hand's surface
-  std::array<double, 3> normal{};    // world, from the object to the hand
+  std::array<double, 3> point_m{};  // world, on the hand's surface
+  std::array<double, 3> normal{};   // world, from the object to the hand
 };
 
 struct Timing {

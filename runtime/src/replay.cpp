@@ -27,8 +27,10 @@ double thread_cpu_us() {
 std::map<std::string, std::string> build_info() {
   std::string wide = "portable";
 #if defined(__x86_64__) && defined(__GNUC__)
-  if (__builtin_cpu_supports("avx512f")) wide = "avx512f";
-  else if (__builtin_cpu_supports("avx2")) wide = "avx2";
+  if (__builtin_cpu_supports("avx512f"))
+    wide = "avx512f";
+  else if (__builtin_cpu_supports("avx2"))
+    wide = "avx2";
 #endif
   return {{"version", PALMAR_VERSION},
           {"compiler", PALMAR_COMPILER},

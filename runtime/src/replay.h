@@ -22,8 +22,8 @@ struct ReplaySummary {
 // Called about a hundred times; false stops the replay.
 using Progress = std::function<bool(std::uint64_t done, std::uint64_t total)>;
 
-// Replays every sample of the trace, resampled to settings.rate_hz, on one object of the pack and writes the run; the file
-// appears whole or not at all. `header` is stored beside what replay knows itself. Throws Error.
+// Replays every sample of the trace, resampled to settings.rate_hz, on one object of the pack and writes the run; the
+// file appears whole or not at all. `header` is stored beside what replay knows itself. Throws Error.
 ReplaySummary replay(const std::string& pack_path, const std::string& trace_path, const std::string& out_path,
                      const std::string& object, const Settings& settings, const Header& header,
                      const Progress& progress);

@@ -81,16 +81,17 @@ Settings parse_settings(const std::string& json) {
       const nlohmann::json range = {found->least, found->most};
       throw Error("E-CONF-VALUE", name, value.dump() + "; the range is " + range.dump());
     }
-    if (whole) settings.*(*whole) = int(number);
-    else settings.*std::get<double Settings::*>(found->member) = number;
+    if (whole)
+      settings.*(*whole) = int(number);
+    else
+      settings.*std::get<double Settings::*>(found->member) = number;
   }
   return settings;
 }
 
 std::string settings_json(const Settings& settings) {
   nlohmann::json out;
-  for (const Key& key : keys())
-    std::visit([&](auto member) { out[key.name] = settings.*member; }, key.member);
+  for (const Key& key : keys()) std::visit([&](auto member) { out[key.name] = settings.*member; }, key.member);
   return out.dump();
 }
 

@@ -7,7 +7,8 @@
 
 namespace palmar {
 
-// Text of a JSON object. Throws Error E-CONF-KEY (with the nearest known key), E-CONF-TYPE or E-CONF-VALUE (with the range).
+// Text of a JSON object. Throws Error E-CONF-KEY (with the nearest known key), E-CONF-TYPE or E-CONF-VALUE (with the
+// range).
 Settings parse_settings(const std::string& json);
 
 // Every setting with its value, keys sorted.

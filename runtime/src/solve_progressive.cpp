@@ -1,11 +1,11 @@
 // The product's solver: feasible sequential quadratic programming with priorities.
 //
 // Every step starts from the last published pose, which touches nothing (all gaps >= 0), and looks for one that costs
-// less. One programme holds the palm (translation, rotation) and the fingers (abduction, three flexions). The palm's position
-// weighs `palm_priority` times its stiffness, so a finger gives way before the palm does: the paper's order, palm before
-// fingers (Eqs. 8, 9), as a limit of weights. What the paper copies from the haptic hand, rotation and abduction, weighs
-// `imposed_priority` times more again and gives way last. Standing still satisfies every row, so the programme always has an
-// answer, blocked fingers and imposed rotations included: no mode to switch, no retry.
+// less. One programme holds the palm (translation, rotation) and the fingers (abduction, three flexions). The palm's
+// position weighs `palm_priority` times its stiffness, so a finger gives way before the palm does: the paper's order,
+// palm before fingers (Eqs. 8, 9), as a limit of weights. What the paper copies from the haptic hand, rotation and
+// abduction, weighs `imposed_priority` times more again and gives way last. Standing still satisfies every row, so the
+// programme always has an answer, blocked fingers and imposed rotations included: no mode to switch, no retry.
 //
 // A pose is published only if (1) no link moved farther than the margin that the candidates were gathered with, so no
 // sphere outside the list can have been touched or skipped; (2) every candidate's exact gap there is >= 0; (3) it costs
@@ -110,8 +110,8 @@ struct Round {
                      bool push_out, bool& fits) {
     const auto start = Clock::now();
     const Settings& s = scene.settings;
-    fits = linearise(scene.hand, work.candidates, at, gap, limit, s.aim_m, push_out, work.rows,
-                     work.row_candidate.data());
+    fits =
+        linearise(scene.hand, work.candidates, at, gap, limit, s.aim_m, push_out, work.rows, work.row_candidate.data());
     QpProblem problem;
     for (int v = 0; v < kVariables; ++v) problem.inverse_weight[v] = 1.0 / weight[v];
     problem.target = difference(haptic, q);
@@ -195,8 +195,7 @@ RoundEnd run_round(Round& r) {
     bool fits;
     const Configuration here = r.trial;
     const HandPlacement here_placement = r.trial_placement;
-    const QpResult result =
-        r.programme(here_placement, here, work.trial_gap.data(), allowed, allowed, true, fits);
+    const QpResult result = r.programme(here_placement, here, work.trial_gap.data(), allowed, allowed, true, fits);
     if (!fits || result.status != QpStatus::solved) break;
     r.remember_active(result);
     good = r.verify(advance(here, result.x, 1.0), smallest, motion);
@@ -241,8 +240,10 @@ bool has_yielded(const Round& r) {
   for (int j = 0; j < r.work.active_count; ++j) {
     const int candidate = r.work.active[j].candidate;
     if (candidate < r.work.candidates.link_start[1]) continue;
-    const int link = int(std::upper_bound(r.work.candidates.link_start.begin(), r.work.candidates.link_start.end(),
-                                          candidate) - r.work.candidates.link_start.begin()) - 1;
+    const int link =
+        int(std::upper_bound(r.work.candidates.link_start.begin(), r.work.candidates.link_start.end(), candidate) -
+            r.work.candidates.link_start.begin()) -
+        1;
     const Candidates::Pair& p = r.work.candidates.pairs[candidate];
     push += r.work.active[j].multiplier *
             capsule_sphere_gap(r.state.placement.phalanx[link - 1], p.center, p.radius).normal;

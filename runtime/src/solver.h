@@ -17,23 +17,23 @@ struct Settings {
   int level = -1;                  // of the object's SphereTree; -1 for the leaves
   std::string resample = "pchip";  // of the trace onto the step times: pchip, linear, hold
   double rate_hz = 1000;
-  int iterations = 4;              // linearise-solve-verify rounds in one step
-  int corrections = 2;             // re-linearisations at a trial pose that sinks in, in one round
-  int qp_iterations = 300;         // rows added or dropped in one programme
-  int candidates = 4096;           // pairs that one step may look at
-  double palm_priority = 1000;     // how much rather a flexion yields than the palm's position
-  double imposed_priority = 100;   // how much rather the palm's position yields than what is copied: rotation, abduction
-  double reach_least_m = 2e-4;     // how far around the hand a step looks, at least
-  double reach_most_m = 3e-3;      // and at most while anything is within it
-  double free_reach_m = 0.1;       // and where nothing is
-  double aim_m = 1e-6;             // gap that a linearised row asks for; what is published has gap >= 0
-  double settled_m = 1e-9;         // a step that would move the hand less leaves it, bit for bit
+  int iterations = 4;             // linearise-solve-verify rounds in one step
+  int corrections = 2;            // re-linearisations at a trial pose that sinks in, in one round
+  int qp_iterations = 300;        // rows added or dropped in one programme
+  int candidates = 4096;          // pairs that one step may look at
+  double palm_priority = 1000;    // how much rather a flexion yields than the palm's position
+  double imposed_priority = 100;  // how much rather the palm's position yields than what is copied: rotation, abduction
+  double reach_least_m = 2e-4;    // how far around the hand a step looks, at least
+  double reach_most_m = 3e-3;     // and at most while anything is within it
+  double free_reach_m = 0.1;      // and where nothing is
+  double aim_m = 1e-6;            // gap that a linearised row asks for; what is published has gap >= 0
+  double settled_m = 1e-9;        // a step that would move the hand less leaves it, bit for bit
 };
 
 // Everything that the next step starts from. Poses are in the object's frame.
 struct SolverState {
-  Configuration graphic;   // verified: no gap below zero
-  HandPlacement placement; // of graphic
+  Configuration graphic;    // verified: no gap below zero
+  HandPlacement placement;  // of graphic
   double reach = 2e-3;
   bool started = false;
 };

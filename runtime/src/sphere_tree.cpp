@@ -5,8 +5,8 @@
 #include <limits>
 #include <numeric>
 
-// One source, the instruction set chosen when the program starts. Element-wise IEEE operations in a fixed order, so each
-// build gives the same bits.
+// One source, the instruction set chosen when the program starts. Element-wise IEEE operations in a fixed order, so
+// each build gives the same bits.
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__SANITIZE_ADDRESS__)
 #define PALMAR_WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
 #else
@@ -17,7 +17,7 @@ namespace palmar {
 
 namespace {
 
-constexpr int kMaxDepth = 16;                       // 16^16 spheres
+constexpr int kMaxDepth = 16;  // 16^16 spheres
 constexpr int kMaxStack = kMaxDepth * (kWide - 1) + 1;
 
 PALMAR_WIDE void node_gaps(const WideNode& node, const SphereQuery& q, float* gap) {
@@ -73,8 +73,8 @@ SphereQuery capsule_query(const Vec3& c1, const Vec3& c2, double r1, double r2, 
   const Vec3 u = length > 0 ? Vec3(along / length) : Vec3(1, 0, 0);
   const double sin_phi = length > 0 ? (r1 - r2) / length : 0.0;
   const double tan_phi = sin_phi / std::sqrt(std::max(1e-12, 1.0 - sin_phi * sin_phi));
-  return {float(c1.x()), float(c1.y()), float(c1.z()), float(u.x()),     float(u.y()),     float(u.z()),
-          float(length), float(r1),     float(sin_phi), float(tan_phi),  float(margin)};
+  return {float(c1.x()), float(c1.y()), float(c1.z()),  float(u.x()),   float(u.y()), float(u.z()),
+          float(length), float(r1),     float(sin_phi), float(tan_phi), float(margin)};
 }
 
 SphereQuery ball_query(const Vec3& center, double radius, double margin) {

@@ -1,4 +1,5 @@
-// Spheres in nodes of sixteen, searched sixteen at a time. Single precision with a stated slack; callers decide in double.
+// Spheres in nodes of sixteen, searched sixteen at a time. Single precision with a stated slack; callers decide in
+// double.
 #pragma once
 
 #include <array>
@@ -30,10 +31,10 @@ struct SphereQuery {
 
 // A box with rounded edges, in its own frame: `rotation` rows are its axes in the tree's frame.
 struct BoxQuery {
-  float cx, cy, cz;         // centre
-  float m[9];               // rows: the box's axes
-  float hx, hy, hz;         // half sizes
-  float radius;             // rounding plus margin
+  float cx, cy, cz;  // centre
+  float m[9];        // rows: the box's axes
+  float hx, hy, hz;  // half sizes
+  float radius;      // rounding plus margin
 };
 
 SphereQuery capsule_query(const Vec3& c1, const Vec3& c2, double r1, double r2, double margin);

@@ -1,10 +1,11 @@
 /* Palmar's C interface: step a virtual hand against an object, from any host's frame loop.
  *
- * Units are SI: metres, radians, seconds, newtons. A quaternion is unit, ordered w x y z. Fingers are ordered thumb, index,
- * middle, ring, little; joints from the palm outwards (MCP, PIP, DIP). A link is 0 for the palm, 1 + 3 finger + phalanx else.
+ * Units are SI: metres, radians, seconds, newtons. A quaternion is unit, ordered w x y z. Fingers are ordered thumb,
+ * index, middle, ring, little; joints from the palm outwards (MCP, PIP, DIP). A link is 0 for the palm, 1 + 3 finger +
+ * phalanx else.
  *
- * Every struct begins with its own size in bytes: set it to sizeof(the struct), so that a host built against an older header
- * keeps working. Functions that can fail return a palmar_code and write one line for a person into `message`.
+ * Every struct begins with its own size in bytes: set it to sizeof(the struct), so that a host built against an older
+ * header keeps working. Functions that can fail return a palmar_code and write one line for a person into `message`.
  * One session belongs to one thread at a time; different sessions are independent. */
 #ifndef PALMAR_H
 #define PALMAR_H
@@ -26,12 +27,12 @@ typedef enum palmar_code {
 
 /* Bits of palmar_result.status; 0 is the plain answer. */
 enum {
-  PALMAR_RECOVERING = 1,       /* the hand started inside the object */
-  PALMAR_ITERATION_LIMIT = 2,  /* the operation budget ended before the pose converged */
-  PALMAR_YIELDED = 4,          /* a finger was blocked and the palm, the wrist or an abduction gave way */
-  PALMAR_KEPT_PREVIOUS = 8,    /* no better pose could be verified */
-  PALMAR_BAD_SAMPLE = 16,      /* the sample was not usable; the last good one stays */
-  PALMAR_LIMIT = 32            /* a joint limit clipped the sample */
+  PALMAR_RECOVERING = 1,      /* the hand started inside the object */
+  PALMAR_ITERATION_LIMIT = 2, /* the operation budget ended before the pose converged */
+  PALMAR_YIELDED = 4,         /* a finger was blocked and the palm, the wrist or an abduction gave way */
+  PALMAR_KEPT_PREVIOUS = 8,   /* no better pose could be verified */
+  PALMAR_BAD_SAMPLE = 16,     /* the sample was not usable; the last good one stays */
+  PALMAR_LIMIT = 32           /* a joint limit clipped the sample */
 };
 
 typedef struct palmar_placement {
@@ -85,8 +86,8 @@ typedef struct palmar_session palmar_session;
 /* "major.minor.patch" */
 PALMAR_API const char* palmar_version(void);
 
-/* Opens a pack's hand and one object (NULL or "" for the only one) with settings as JSON text (NULL for the defaults; unknown
- * keys are errors). On success *session is for palmar_close. Allocates all that stepping needs. */
+/* Opens a pack's hand and one object (NULL or "" for the only one) with settings as JSON text (NULL for the defaults;
+ * unknown keys are errors). On success *session is for palmar_close. Allocates all that stepping needs. */
 PALMAR_API palmar_code palmar_open(const char* pack_path, const char* object, const char* settings_json,
                                    palmar_session** session, char* message, size_t message_size);
 

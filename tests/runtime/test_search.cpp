@@ -1,0 +1,67 @@
+#include <set>
+
+#include "check.h"
+#include "contacts.h"
+#include "made_hand.h"
+
+using namespace palmar;
+
+// The tree gives every sphere within the margin: against all spheres, one by one, for capsules, and for whole hands.
+int main() {
+  std::mt19937 rng(3);
+  std::uniform_real_distribution<double> u(-1, 1);
+  std::uniform_real_distribution<double> size(0, 1);
+
+  for (int count : {1, 2, 15, 16, 17, 257, 3000}) {
+    std::vector<Sphere> spheres;
+    for (int i = 0; i < count; ++i)
+      // From 0.05 mm to 50 mm in one tree.
+      spheres.push_back({0.1 * Vec3(u(rng), u(rng), u(rng)), 5e-5 * std::pow(1000.0, size(rng))});
+    const WideTree tree(spheres);
+    std::vector<std::uint32_t> found(count);
+    std::uint32_t visited = 0;
+    for (int trial = 0; trial < 100; ++trial) {
+      const Capsule c{0.15 * Vec3(u(rng), u(rng), u(rng)), 0.15 * Vec3(u(rng), u(rng), u(rng)), 0.012, 0.009};
+      const double margin = 0.002;
+      const int n = tree.find(capsule_query(c.c1, c.c2, c.r1, c.r2, margin), found.data(), count, visited);
+      const std::set<std::uint32_t> set(found.begin(), found.begin() + n);
+      CHECK(int(set.size()) == n);
+      for (int i = 0; i < count; ++i)
+        if (capsule_sphere_gap(c, spheres[i].center, spheres[i].radius).gap <= margin) CHECK(set.contains(i));
+    }
+    CHECK(tree.find(ball_query(Vec3(0, 0, 0), 1.0, 0.0), found.data(), count, visited) == count);
+    if (count > 1) CHECK(tree.find(ball_query(Vec3(0, 0, 0), 1.0, 0.0), found.data(), count - 1, visited) == count);
+  }
+
+  const HandModel hand = made::hand();
+  const PalmTree palm(hand);
+  const CollisionObject object(made::ears());
+  Candidates candidates(20000);
+  int pairs = 0;
+  for (int trial = 0; trial < 50; ++trial) {
+    const HandPlacement at = place_hand(hand, made::random_configuration(rng, 0.08));
+    const double margin = 0.003;
+    std::uint32_t visited = 0;
+    CHECK(gather_candidates(hand, palm, object, at, margin, candidates, visited));
+    std::set<std::array<std::uint32_t, 3>> set;
+    for (int link = 0; link < kLinks; ++link)
+      for (int i = candidates.link_start[link]; i < candidates.link_start[link + 1]; ++i)
+        set.insert({std::uint32_t(link), candidates.pairs[i].object_sphere, candidates.pairs[i].palm_sphere});
+    for (std::uint32_t o = 0; o < object.leaves.size(); ++o) {
+      const Sphere& s = object.leaves[o];
+      for (std::uint32_t p = 0; p < hand.palm.size(); ++p)
+        if ((at.rotation * hand.palm[p].center + at.position - s.center).norm() - hand.palm[p].radius - s.radius <=
+            margin) {
+          ++pairs;
+          CHECK(set.contains(std::array<std::uint32_t, 3>{0u, o, p}));
+        }
+      for (std::uint32_t link = 1; link < kLinks; ++link)
+        if (capsule_sphere_gap(at.phalanx[link - 1], s.center, s.radius).gap <= margin) {
+          ++pairs;
+          CHECK(set.contains(std::array<std::uint32_t, 3>{link, o, UINT32_MAX}));
+        }
+    }
+  }
+  CHECK(pairs > 1000);
+  return finish();
+}

@@ -1,0 +1,178 @@
+#include <atomic>
+#include <cstdlib>
+#include <new>
+
+#include "check.h"
+#include "made_hand.h"
+#include "session.h"
+
+using namespace palmar;
+
+namespace {
+std::atomic<long> allocations{0};
+}
+
+// Every way to the heap that C++ code has is counted.
+void* operator new(std::size_t size) {
+  ++allocations;
+  if (void* p = std::malloc(size)) return p;
+  throw std::bad_alloc();
+}
+void* operator new(std::size_t size, std::align_val_t align) {
+  ++allocations;
+  if (void* p = std::aligned_alloc(std::size_t(align),
+                                   (size + std::size_t(align) - 1) / std::size_t(align) * std::size_t(align)))
+    return p;
+  throw std::bad_alloc();
+}
+void operator delete(void* p) noexcept { std::free(p); }
+void operator delete(void* p, std::size_t) noexcept { std::free(p); }
+void operator delete(void* p, std::align_val_t) noexcept { std::free(p); }
+void operator delete(void* p, std::size_t, std::align_val_t) noexcept { std::free(p); }
+
+namespace {
+
+// The least gap of the whole hand to every sphere, one by one.
+double brute_gap(const HandModel& hand, const std::vector<Sphere>& spheres, const HandPose& pose) {
+  const HandPlacement at = place_hand(hand, to_configuration(pose));
+  double least = 1e9;
+  for (const Sphere& s : spheres) {
+    for (const PalmSphere& p : hand.palm)
+      least = std::min(least, (at.rotation * p.center + at.position - s.center).norm() - p.radius - s.radius);
+    for (const Capsule& c : at.phalanx) least = std::min(least, capsule_sphere_gap(c, s.center, s.radius).gap);
+  }
+  return least;
+}
+
+// Targets that a hand would not dare: new ones every 20 to 200 steps, a tenth of them at once, the rest in between.
+std::vector<Sample> wild_motion(unsigned seed, int steps) {
+  std::mt19937 rng(seed);
+  std::uniform_int_distribution<int> length(20, 200);
+  std::uniform_real_distribution<double> chance(0, 1);
+  std::vector<Sample> samples;
+  Configuration from;
+  from.position = Vec3(0, -0.05, 0.25);
+  while (int(samples.size()) < steps) {
+    const Configuration to = made::random_configuration(rng, 0.08);
+    const int n = length(rng);
+    const bool jump = chance(rng) < 0.1;
+    const Change way = difference(to, from);
+    for (int i = 1; i <= n && int(samples.size()) < steps; ++i) {
+      Sample s;
+      s.time_s = 1e-3 * double(samples.size());
+      s.pose = to_pose(advance(from, way, jump ? 1.0 : double(i) / n));
+      samples.push_back(s);
+    }
+    from = to;
+  }
+  return samples;
+}
+
+}  // namespace
+
+int main() {
+  const HandModel hand = made::hand();
+  const std::vector<std::vector<Sphere>> objects = {made::ball(500, 0.04, 0.006), made::plate(25, 0.004, 0.003),
+                                                    made::ears()};
+
+  // Non-penetration, whatever the hand does, by brute force after every step; nothing allocated; no limit broken.
+  for (std::size_t o = 0; o < objects.size(); ++o) {
+    Session session(hand, objects[o], Settings{});
+    double deepest = 0;
+    long in_step = 0, contacts = 0, kept = 0;
+    for (const Sample& s : wild_motion(unsigned(10 + o), 4000)) {
+      const long before = allocations;
+      const StepResult& r = session.step(s);
+      in_step += allocations - before;
+      deepest = std::max(deepest, -brute_gap(hand, objects[o], r.graphic));
+      contacts += r.contacts;
+      kept += (r.status & kKeptPrevious) != 0;
+      for (int f = 0; f < kFingers; ++f)
+        for (int j = 0; j < kPhalanges; ++j)
+          CHECK(r.graphic.flexion_rad[3 * f + j] <= hand.finger[f].flexion_limit[j][1] + 1e-7);
+    }
+    CHECK(deepest <= 1e-12);  // metres: rounding of the two ways to compute the same gap
+    CHECK(in_step == 0);
+    CHECK(contacts > 1000);
+    CHECK(kept == 0);
+  }
+
+  // Two sessions, one trace: every pose, force and state the same to the bit.
+  {
+    Session a(hand, objects[2], Settings{}), b(hand, objects[2], Settings{});
+    bool same = true;
+    for (const Sample& s : wild_motion(77, 2000)) {
+      const StepResult &ra = a.step(s), &rb = b.step(s);
+      same &= ra.state_hash == rb.state_hash && ra.fingertip_force_n == rb.fingertip_force_n &&
+              ra.graphic.flexion_rad == rb.graphic.flexion_rad && ra.operations == rb.operations;
+    }
+    CHECK(same);
+  }
+
+  // Held still and pressed in, the hand comes to rest to the bit.
+  for (std::size_t o = 0; o < objects.size(); ++o) {
+    Session session(hand, objects[o], Settings{});
+    const std::vector<Sample> motion = wild_motion(unsigned(20 + o), 3000);
+    for (std::size_t start = 500; start < 3000; start += 500) {
+      for (std::size_t i = start - 500; i < start; ++i) session.step(motion[i]);
+      std::uint64_t hash = 0;
+      int still = 0;
+      for (int i = 0; i < 3000; ++i) {
+        const StepResult& r = session.step(motion[start - 1]);
+        still = r.state_hash == hash ? still + 1 : 0;
+        hash = r.state_hash;
+      }
+      CHECK(still > 1000);
+    }
+  }
+
+  // In the open the graphic hand is the haptic hand.
+  {
+    Session session(hand, objects[0], Settings{});
+    for (Sample s : wild_motion(5, 500)) {
+      s.pose.palm.position_m[2] += 1.0;
+      CHECK(session.step(s).graphic.flexion_rad == s.pose.flexion_rad);
+      CHECK(session.step(s).graphic.palm.position_m == s.pose.palm.position_m);
+    }
+  }
+
+  // A moving object: the same hand motion seen from the object gives the same gaps, and carrying both changes no force.
+  {
+    Session still(hand, objects[2], Settings{}), carried(hand, objects[2], Settings{});
+    double force_difference = 0;
+    const std::vector<Sample> motion = wild_motion(31, 1500);
+    for (const Sample& s : motion) {
+      Sample moved = s;
+      const Vec3 shift(0.3 * std::sin(s.time_s), 0.2 * s.time_s, -0.1);
+      moved.has_object_pose = true;
+      moved.object.position_m = to_array(shift);
+      moved.pose.palm.position_m = to_array(Vec3(to_vec3(s.pose.palm.position_m) + shift));
+      const StepResult &a = still.step(s), &b = carried.step(moved);
+      for (int k = 0; k < 15; ++k)
+        force_difference = std::max(force_difference, std::abs(a.fingertip_force_n[k] - b.fingertip_force_n[k]));
+    }
+    // Newtons: shifting rounds each position by 1e-16 m, and the way there is repeated through a thousand contacts.
+    CHECK(force_difference < 1e-3);
+  }
+
+  // Samples that cannot be used leave the hand where it is, and say so.
+  {
+    Session session(hand, objects[0], Settings{});
+    const std::vector<Sample> motion = wild_motion(41, 300);
+    for (const Sample& s : motion) session.step(s);
+    const HandPose before = session.step(motion.back()).graphic;
+    for (int fault = 0; fault < 5; ++fault) {
+      Sample bad = motion[0];
+      if (fault == 0) bad.pose.flexion_rad[3] = std::nan("");
+      if (fault == 1) bad.pose.palm.position_m[0] = INFINITY;
+      if (fault == 2) bad.tracked = false;
+      if (fault == 3) bad.pose.palm.rotation_wxyz = {0, 0, 0, 0};
+      if (fault == 4) bad.object.position_m[1] = std::nan("");
+      const StepResult& r = session.step(bad);
+      CHECK(r.status & kBadSample);
+      CHECK(r.graphic.flexion_rad == before.flexion_rad && r.graphic.palm.position_m == before.palm.position_m);
+      for (double f : r.fingertip_force_n) CHECK(std::isfinite(f));
+    }
+  }
+  return finish();
+}
