@@ -34,9 +34,8 @@ def check_keys(where: str, table: Any, known: Iterable[str], needed: Iterable[st
     allowed = sorted(known)
     for key in table:
         if key not in allowed:
-            near = difflib.get_close_matches(key, allowed, n=1)
-            hint = f"; nearest: {near[0]}" if near else ""
-            raise BadPack("E-CONF", _place(where, key), f"unknown key{hint}; known are {', '.join(allowed)}")
+            known_are = f"known are {', '.join(allowed)}"
+            raise BadPack("E-CONF", _place(where, key), f"unknown key{nearest(key, allowed)}; {known_are}")
     for key in needed:
         if key not in table:
             raise BadPack("E-CONF", _place(where, key), "is missing")
@@ -60,6 +59,12 @@ def get_text(where: str, table: dict[str, Any], key: str, allowed: Iterable[str]
         wanted = "one of " + ", ".join(allowed) if allowed else "a text"
         raise BadPack("E-CONF", _place(where, key), f"{_short(value)}; {wanted} is needed")
     return value
+
+
+def nearest(word: str, known: list[str]) -> str:
+    """`; nearest: ...`, or nothing if nothing is near."""
+    near = difflib.get_close_matches(word, known, n=1)
+    return f"; nearest: {near[0]}" if near else ""
 
 
 def is_number(value: Any) -> bool:
