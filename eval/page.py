@@ -173,7 +173,7 @@ def lead(runs: list[Judged]) -> str:
 
 
 def verdict_line(passed: bool, sentence: str) -> str:
-    outcome, mark = ("pass", "Pass.") if passed else ("fail", "Fail.")
+    outcome, mark = ("pass", "&check;") if passed else ("fail", "&cross;")
     return f'<p class="verdict {outcome}"><span class="mark">{mark}</span> {escape(sentence)}</p>'
 
 

@@ -93,4 +93,15 @@ const watcher = new IntersectionObserver(entries => {
   for (const entry of entries) if (entry.isIntersecting) setUp(entry.target);
 }, { rootMargin: "400px" });
 document.querySelectorAll("section[data-run]").forEach(section => watcher.observe(section));
-window.addEventListener("beforeprint", () => document.querySelectorAll("section[data-run]").forEach(setUp));
+
+// Paper is narrower than most windows, and nothing is drawn later while a page is being printed.
+window.addEventListener("beforeprint", () => {
+  document.querySelectorAll("section[data-run]").forEach(setUp);
+  for (const { view, charts } of replays.values()) {
+    view?.draw();
+    Plotly.relayout(charts.plot, { width: 660 });
+  }
+});
+window.addEventListener("afterprint", () => {
+  for (const { charts } of replays.values()) Plotly.relayout(charts.plot, { width: null, autosize: true });
+});

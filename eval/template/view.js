@@ -15,9 +15,13 @@ function decode(packed) {
 // One WebGL context draws every run; browsers allow only about sixteen of them.
 let renderer = null;
 function sharedRenderer() {
-  if (renderer === null && new OffscreenCanvas(1, 1).getContext("webgl2")) {
+  const probe = renderer === null && new OffscreenCanvas(1, 1).getContext("webgl2");
+  if (probe) {
+    const named = probe.getExtension("WEBGL_debug_renderer_info");
+    const software = named && /swiftshader|llvmpipe|software/i.test(probe.getParameter(named.UNMASKED_RENDERER_WEBGL));
+    // Smooth edges take twice the time where the processor draws them.
     renderer = new THREE.WebGLRenderer({
-      canvas: new OffscreenCanvas(1, 1), antialias: true, alpha: true, stencil: true,
+      canvas: new OffscreenCanvas(1, 1), antialias: !software, alpha: true, stencil: true,
     });
     renderer.setClearColor(0x000000, 0);
   }
@@ -271,6 +275,7 @@ class View {
     this.controls.update();
     this.placeArrows();
     if (drawn.domElement.width !== width || drawn.domElement.height !== height) drawn.setSize(width, height, false);
+    if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
     drawn.render(this.scene, this.camera);
     this.picture.transferFromImageBitmap(drawn.domElement.transferToImageBitmap());
   }
