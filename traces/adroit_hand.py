@@ -95,7 +95,7 @@ def chain_points(chain: Chain, poses: dict[str, Pose], finger: str) -> Array:
 
 
 def hand_model(chain: Chain, sha256: str, pitch_m: float = PALM_PITCH_M) -> HandModel:
-    """The chain as a HandModel; its palm frame is the palm body's, its stiffness the usual 1 N/mm and 500 N mm/rad."""
+    """The chain as a HandModel; its palm frame is the palm body's, its stiffness that of a hand TOML without one."""
     poses = chain_poses(chain, {name: np.array([angle]) for name, angle in FROZEN_RAD.items()})
     where = {joint["column"].removeprefix("q_"): (body, joint) for body in chain for joint in body["joints"]}
     joint_m, flexion_axis, flexion_limit = np.zeros((5, 3, 3)), np.zeros((5, 3, 3)), np.zeros((5, 3, 2))
@@ -128,7 +128,7 @@ def hand_model(chain: Chain, sha256: str, pitch_m: float = PALM_PITCH_M) -> Hand
         abduction_limit_rad=abduction_limit,
         joint_stiffness_n_m_per_rad=np.full((5, 3), 0.5),
         palm_stiffness_n_per_m=np.array([1000.0]),
-        palm_rotation_stiffness_n_m_per_rad=np.array([0.5]),
+        palm_rotation_stiffness_n_m_per_rad=np.array([10.0]),
         about={"name": "adroit", "side": "right", "source": "adroit_hand.json", "sha256": sha256},
     )
 
@@ -201,13 +201,12 @@ def adroit_hand_toml(path: str | Path, *, pitch_m: float = PALM_PITCH_M) -> str:
         "# The palm frame is the palm body's: x towards the thumb, -y out of the palm, z towards the fingertips.",
         f"# Fixed, since the model has no such joints: {frozen}. Wrist and forearm are left out.",
         f"# {len(hand.palm_spheres_m)} balls fill the palm's boxes from inside, at most {pitch_m * 1e3:g} mm apart.",
-        "# Stiffness is the project's default, not the Adroit hand's.",
+        "# Stiffness is left at the default: the Adroit hand's says nothing about a user's.",
         'name = "adroit"',
         'side = "right"',
+        f"source = {json.dumps(f'{Path(path).name}, sha256 {sha256}')}",
         "",
         "[palm]",
-        f"stiffness_n_per_m = {_numbers(hand.palm_stiffness_n_per_m[0])}",
-        f"rotation_stiffness_n_m_per_rad = {_numbers(hand.palm_rotation_stiffness_n_m_per_rad[0])}",
         "spheres_m = [",
         *[f"    {_numbers(ball)}," for ball in hand.palm_spheres_m],
         "]",
@@ -224,7 +223,6 @@ def adroit_hand_toml(path: str | Path, *, pitch_m: float = PALM_PITCH_M) -> str:
             f"radius_m = {_numbers(hand.phalanx_radius_m[f])}",
             f"abduction_limit_rad = {_numbers(hand.abduction_limit_rad[f])}",
             f"flexion_limit_rad = {_numbers(hand.flexion_limit_rad[f])}",
-            f"joint_stiffness_n_m_per_rad = {_numbers(hand.joint_stiffness_n_m_per_rad[f])}",
         ]
     return "\n".join(lines) + "\n"
 

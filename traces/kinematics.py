@@ -10,8 +10,8 @@ from palmar.model import HandModel
 
 Array = NDArray[np.float64]
 
-# A radian away from the start counts like 3 cm of miss. Without it a curled or a straight finger, whose points hardly feel
-# one of the angles, turned three times as fast as the recorded one did.
+# A radian away from the start counts like 3 cm of miss. Without it a curled or a straight finger, whose points hardly
+# feel one of the angles, turned three times as fast as the recorded one did.
 KEEP_M_PER_RAD = 0.03
 
 

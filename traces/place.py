@@ -53,11 +53,12 @@ def place_grasp(closing: Closing, leaves: Array, vary_m: Array, vary_rad: Array)
     middle = 0.5 * (low + high)
     # A ring has nothing in its middle: its tube is the other thing to take hold of.
     nearest = few[np.argmin(((few[:, :3] - middle) ** 2).sum(axis=1)), :3]
+    hollow = np.linalg.norm(nearest - middle) > 0.005  # metres; nearer than this the two grasps are one
     axes = palm_axes(closing.hand)
     best, best_score = None, -np.inf
     for object_from_axes in _box_rotations():
         for anchor_m in ANCHORS_M:
-            for target in (middle, nearest):
+            for target in (middle, nearest) if hollow else (middle,):
                 rotation = object_from_axes @ axes.T
                 grasp = _grasp(closing, few, rotation, target, anchor_m, np.zeros(2), SEARCH_STEPS)
                 if grasp is None:
@@ -128,7 +129,9 @@ def _grasp(
     phalanges = phalanges_in_palm(hand, flexions, np.tile(closing.abduction_rad, (steps, 1))) @ rotation.T + position
     depth = -_gap(phalanges, hand.phalanx_radius_m, leaves).min(axis=2)  # (steps, 5)
     deep = depth >= closing.squeeze_m
-    chosen = np.where(deep.any(axis=0), deep.argmax(axis=0), steps - 1)
+    # As deep as asked, else as deep as it gets, else a fist.
+    reaches = np.where((depth > 0).any(axis=0), depth.argmax(axis=0), steps - 1)
+    chosen = np.where(deep.any(axis=0), deep.argmax(axis=0), reaches)
     return Grasp(
         position_m=position,
         rotation=rotation,
@@ -157,11 +160,12 @@ def _travel(hand: HandModel, leaves: Array, rotation: Array, position: Array, pa
 
 def _gap(phalanges: Array, radius_m: Array, leaves: Array) -> Array:
     """Gap of a phalanx, as a capsule of mean radius, to the nearest leaf. (n, 5, 3, 2, 3) to (n, 5, 3) metres."""
-    start, axis = phalanges[..., 0, :], phalanges[..., 1, :] - phalanges[..., 0, :]
-    gap = np.empty(start.shape[:-1])
-    for index in np.ndindex(gap.shape):
-        apart = leaves[:, :3] - start[index]
-        along = np.clip(apart @ axis[index] / (axis[index] @ axis[index]), 0.0, 1.0)
-        apart -= along[:, None] * axis[index]
-        gap[index] = (np.sqrt(np.einsum("ij,ij->i", apart, apart)) - leaves[:, 3]).min() - radius_m[index[1:]].mean()
+    gap = np.empty(phalanges.shape[:3])
+    for f, k in np.ndindex(5, 3):
+        start, axis = phalanges[:, f, k, 0], phalanges[:, f, k, 1] - phalanges[:, f, k, 0]  # (n, 3)
+        apart = leaves[:, :3] - start[:, None]  # (n, leaves, 3)
+        along = np.clip(np.einsum("nli,ni->nl", apart, axis) / np.einsum("ni,ni->n", axis, axis)[:, None], 0.0, 1.0)
+        apart -= along[..., None] * axis[:, None]
+        off = np.sqrt(np.einsum("nli,nli->nl", apart, apart)) - leaves[:, 3]
+        gap[:, f, k] = off.min(axis=1) - radius_m[f, k].mean()
     return gap

@@ -292,9 +292,13 @@ void two_damaged_places_are_both_counted() {
   const Trace trace = make_trace(30, 0.3);
   write_trace(kPath, trace);
   FileBytes bytes = load(kPath);
-  const std::string mark(reinterpret_cast<const char*>(&trace.samples[5].pose.flexion_rad), 8);
-  const std::string mark2(reinterpret_cast<const char*>(&trace.samples[20].pose.flexion_rad), 8);
-  for (const std::string& m : {mark, mark2}) *std::search(bytes.begin(), bytes.end(), m.begin(), m.end()) ^= 1;
+  for (const std::size_t i : {5, 20}) {
+    FileBytes mark(8);
+    std::memcpy(mark.data(), trace.samples[i].pose.flexion_rad.data(), 8);
+    const auto found = std::search(bytes.begin(), bytes.end(), mark.begin(), mark.end());
+    CHECK(found != bytes.end());
+    *found ^= 1;
+  }
   store(kPath, bytes);
   const Trace back = read_trace(kPath);
   CHECK(back.loss.chunks == 2);
