@@ -4,6 +4,7 @@ import csv
 import json
 import subprocess
 import sys
+from itertools import product
 
 import numpy as np
 import pytest
@@ -19,7 +20,9 @@ def files(tmp_path_factory):
     from palmar.tools.pack import build
 
     folder = tmp_path_factory.mktemp("files")
-    build(["shape:cube"], folder / "cube.pack", spheres=50)
+    rows = [f"{x},{y},{z},0.012" for x, y, z in product((-0.02, 0.0, 0.02), repeat=3)]
+    (folder / "cube.csv").write_text("\n".join(["x_m,y_m,z_m,radius_m", *rows]))
+    build(["shape:cube"], folder / "cube.pack", spheres_csv=folder / "cube.csv")
     n = 3000
     position = np.zeros((n, 3))
     position[:, 2] = np.linspace(0.3, 0.2, n)
@@ -117,7 +120,7 @@ def test_a_damaged_trace_is_replayed_only_when_its_loss_is_accepted(run, files, 
 def test_json_is_one_object_on_stdout_and_stderr_stays_empty(run, files, tmp_path):
     pack, trace = files / "cube.pack", files / "whole.mcap"
     lines = [
-        ("build", "shape:sphere", "-o", "s.pack", "--spheres", "20"),
+        ("build", "shape:sphere", "-o", "s.pack", "--spheres-csv", files / "cube.csv"),
         ("script", "grasp", pack, "-o", "s.mcap"),
         ("replay", pack, trace, "-o", "s.run.mcap"),
         ("show", pack),
@@ -171,7 +174,7 @@ def test_a_run_names_its_pack_its_trace_and_the_machine(run, files, tmp_path):
 
 
 def test_a_run_without_its_pack_is_not_reported(run, files, tmp_path):
-    run("build", "shape:sphere", "-o", "other.pack", "--spheres", "20")
+    run("build", "shape:sphere", "-o", "other.pack", "--spheres-csv", files / "cube.csv")
     run("replay", files / "cube.pack", files / "whole.mcap", "-o", "a.run.mcap")
     code, _, errors = run("report", "a.run.mcap", "-o", "r")
     assert (code, len(errors)) == (2, 1)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palmar.errors import PalmarError
 from palmar.files import nearest, stem_of
@@ -60,7 +61,7 @@ def export_pack(pack: AssetPack, out_dir: Path, name: str, level: int | None = N
 def export_run(run: Run, out_dir: Path, stem: str) -> list[Path]:
     """Poses, status, step time and contacts of each step as STEM.poses.csv."""
     columns: list[str] = ["time_s"]
-    blocks: list[np.ndarray] = [run.time_s]
+    blocks: list[NDArray[Any]] = [run.time_s]
     for hand, prefix in (("graphic", ""), ("haptic", "haptic_")):
         columns += _hand_columns(f"{hand}_")
         blocks += _hand_blocks(run, prefix)
@@ -75,7 +76,7 @@ def export_run(run: Run, out_dir: Path, stem: str) -> list[Path]:
 def export_trace(trace: Trace, out_dir: Path, stem: str) -> list[Path]:
     """The samples as STEM.samples.csv."""
     columns = ["time_s", "tracked", *_hand_columns(""), "has_object_pose", *(f"object_{part}" for part in PLACEMENT)]
-    blocks = [trace.time_s, trace.tracked.astype(np.uint8), *_hand_blocks(trace, "")]
+    blocks: list[NDArray[Any]] = [trace.time_s, trace.tracked.astype(np.uint8), *_hand_blocks(trace, "")]
     blocks += [trace.has_object_pose.astype(np.uint8), trace.object_position_m, trace.object_rotation_wxyz]
     out_dir.mkdir(parents=True, exist_ok=True)
     path = out_dir / f"{stem}.samples.csv"
@@ -87,12 +88,12 @@ def _hand_columns(prefix: str) -> list[str]:
     return [*(f"{prefix}palm_{part}" for part in PLACEMENT), *(prefix + name for name in FLEXIONS + ABDUCTIONS)]
 
 
-def _hand_blocks(source: Any, prefix: str) -> list[np.ndarray]:
+def _hand_blocks(source: Any, prefix: str) -> list[NDArray[Any]]:
     fields = ("palm_position_m", "palm_rotation_wxyz", "flexion_rad", "abduction_rad")
     return [getattr(source, prefix + field) for field in fields]
 
 
-def _rows(blocks: list[np.ndarray]) -> Iterable[list[Any]]:
+def _rows(blocks: list[NDArray[Any]]) -> Iterable[list[Any]]:
     """Row i of every block, side by side; integers stay integers."""
     lists = [block.reshape(len(block), -1).tolist() for block in blocks]
     return ([value for part in parts for value in part] for parts in zip(*lists, strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from typing import Any
 
 import numpy as np
@@ -92,8 +93,11 @@ def print_description(description: dict[str, Any]) -> None:
 
 
 def print_build(answer: dict[str, Any]) -> None:
-    """The answer of `palmar.tools.pack.build`: the errors of each level, then the file."""
+    """The answer of `palmar.tools.pack.build`: the errors of each level, then the file; warnings on stderr."""
     print_table(LEVEL_COLUMNS, _level_rows(answer["objects"]))
+    print_fields({"pack": answer["pack"], "bytes": answer["bytes"], "sha256": answer["sha256"]})
+    for warning in answer["warnings"]:
+        print(f"warning: {warning}", file=sys.stderr)
 
 
 def print_replay(answer: dict[str, Any]) -> None:
