@@ -140,7 +140,7 @@ def script_trace(scene: dict[str, Any], hand: HandModel, tree: SphereTree, seed:
     seconds = {"approach": p.approach_s, "close": p.close_s, "slide": p.slide_s, "hold": p.hold_s, "leave": p.leave_s}
     counts = {name: round(s * p.rate_hz) for name, s in seconds.items()}
     u = {name: (np.arange(n) / n)[:, None] for name, n in counts.items()}
-    back = -p.start_m * grasp.palmar
+    back = -(p.start_m + p.press_m) * grasp.palmar
     held = grasp.position_m
     turn_0 = np.zeros(3)
 
