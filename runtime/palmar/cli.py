@@ -3,8 +3,6 @@
 Exit codes: 0 fine; 2 bad input, with one line on stderr; 3 recovered with loss; 70 a bug of Palmar; 130 Ctrl-C.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import sys
@@ -249,7 +247,7 @@ def replay(
     """Pack + trace -> run. A damaged trace is refused unless its loss is accepted; the exit code is 3 either way."""
     from palmar.files import lost_line, require_file, require_place
     from palmar.records import read_trace
-    from palmar.replay import replay_file
+    from palmar.replay import object_of, replay_file
     from palmar.show import print_replay
     from palmar.terminal import print_json, progress_bar
 
@@ -257,10 +255,12 @@ def replay(
     settings = parse_pairs("--set", [*named, *(setting or [])])
     require_file(pack)
     require_place(out)
-    damage = lost_line(trace, read_trace(require_file(trace)).lost)
+    samples = read_trace(require_file(trace))
+    damage = lost_line(trace, samples.lost)
     if damage and not accept_loss:
         return complain(f"{damage}; nothing was written: pass --accept-loss to replay what is left", LOSS)
     with progress_bar(not json) as progress:
+        name = name or object_of(samples, pack)
         answer = replay_file(pack, trace, out, object_name=name, settings=settings, progress=progress)
     print_json(answer) if json else print_replay(answer)
     return complain(damage, LOSS) if damage else 0

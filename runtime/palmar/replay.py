@@ -11,7 +11,8 @@ from typing import Any
 
 from palmar import _runtime
 from palmar.files import sha256_of
-from palmar.records import STATUS
+from palmar.model import load_pack
+from palmar.records import STATUS, Trace
 
 
 def replay_file(
@@ -48,6 +49,12 @@ def replay_file(
         "content_fnv1a64": counts["content_fnv1a64"],
         "lost": counts["lost"],
     }
+
+
+def object_of(trace: Trace, pack: Path) -> str:
+    """The object that the trace says it was made for, if the pack has it; else "", which stands for the only one."""
+    named = trace.header.get("object", "")
+    return named if named in load_pack(pack).objects else ""
 
 
 def count_status(steps_by_status: dict[int, int]) -> dict[str, int]:

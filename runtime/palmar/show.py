@@ -13,19 +13,10 @@ from palmar.records import Run, Trace
 from palmar.replay import count_status
 from palmar.terminal import print_fields, print_table
 
-LEVEL_COLUMNS = (
-    "object",
-    "level",
-    "spheres",
-    "protrusion max mm",
-    "p99",
-    "mean",
-    "gap max mm",
-    "p99",
-    "mean",
-    "normals median deg",
-    "p95",
-)
+LEVEL_COLUMNS = ("object", "level", "spheres", "protrusion max mm", "p99", "mean", "gap max mm", "p99", "mean")
+LEVEL_COLUMNS += ("normals median deg", "p95")
+LEVEL_ERRORS = [(figure, stat) for figure in ("protrusion_mm", "gap_mm") for stat in ("max", "p99", "mean")]
+LEVEL_ERRORS += [("normal_error_deg", "median"), ("normal_error_deg", "p95")]
 
 
 def describe(content: AssetPack | Trace | Run) -> dict[str, Any]:
@@ -86,10 +77,11 @@ def print_description(description: dict[str, Any]) -> None:
     fields = {key: value for key, value in description.items() if not isinstance(value, dict)}
     print_fields(fields)
     if description["kind"] == "run":
-        print_replay({"steps": description["steps"], "status": description["status"]})
+        _print_status(description["status"])
         cpu = description["step_cpu_us"]
         print_table(("step CPU time, us", "p50", "p99", "p99.9", "max"), [(cpu["of"], *list(cpu.values())[1:])])
-    print_table(("header", ""), [(key, _short(value)) for key, value in description["header"].items()])
+    print("header")
+    print_fields({f"  {key}": _short(value) for key, value in description["header"].items()})
 
 
 def print_build(answer: dict[str, Any]) -> None:
@@ -101,9 +93,9 @@ def print_build(answer: dict[str, Any]) -> None:
 
 
 def print_replay(answer: dict[str, Any]) -> None:
-    """How many steps of a run had which status."""
-    rows = [(name, count) for name, count in answer["status"].items() if count or name == "ok"]
-    print_table(("status", "steps"), rows)
+    """The answer of `palmar.replay.replay_file`: how many steps had which status, then the file."""
+    _print_status(answer["status"])
+    print_fields({"run": answer["run"], "steps": answer["steps"]})
 
 
 def _print_pack(description: dict[str, Any]) -> None:
@@ -126,11 +118,15 @@ def _print_pack(description: dict[str, Any]) -> None:
     print_table(LEVEL_COLUMNS, _level_rows(objects))
 
 
+def _print_status(counts: dict[str, int]) -> None:
+    print_table(("status", "steps"), [(name, count) for name, count in counts.items() if count or name == "ok"])
+
+
 def _level_rows(objects: dict[str, Any]) -> list[tuple[Any, ...]]:
     rows = []
     for name, about in objects.items():
         for k, level in enumerate(about["levels"]):
-            errors = [*level["protrusion_mm"].values(), *level["gap_mm"].values(), *level["normal_error_deg"].values()]
+            errors = [level[figure][stat] for figure, stat in LEVEL_ERRORS]
             rows.append((name, k, level["spheres"], *errors))
     return rows
 

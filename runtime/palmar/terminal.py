@@ -49,8 +49,10 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: st
     for row in rows:
         table.add_row(*(escape(cell(value)) for value in row))
     # Into a pipe or a file the table is as wide as it needs to be: nothing is cut off.
-    console = Console(width=None if sys.stdout.isatty() else 400, highlight=False, soft_wrap=False)
-    console.print(table)
+    console = Console(width=None if sys.stdout.isatty() else 400, highlight=False)
+    with console.capture() as text:
+        console.print(table)
+    print(*(line.rstrip() for line in text.get().splitlines()), sep="\n")
 
 
 def print_fields(fields: dict[str, Any]) -> None:
