@@ -1,0 +1,118 @@
+"""A closed mesh as a solid: area-uniform samples of its surface and the exact signed distance to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import igl
+import numpy as np
+from numpy.typing import NDArray
+
+from palmar.errors import BadMesh
+
+Array = NDArray[np.float64]
+
+# R2 sequence (Roberts 2018), the plane's counterpart of the golden ratio: even inside one big triangle.
+_R2 = np.array([0.7548776662466927, 0.5698402909980532])
+
+
+@dataclass(frozen=True)
+class Solid:
+    """Vertices (v, 3), faces (f, 3) outward, unit normals (f, 3), areas (f,), search tree; simple: no parts overlap."""
+
+    vertices: Array
+    faces: NDArray[np.int64]
+    normals: Array
+    areas: Array
+    tree: igl.AABB
+    simple: bool
+
+    @property
+    def size(self) -> float:
+        """Longest side of the bounding box."""
+        return float(np.ptp(self.vertices, axis=0).max())
+
+
+def make_solid(vertices: Array, faces: NDArray[np.integer]) -> Solid:
+    """Prepare a closed outward mesh. Raises BadMesh if it has no area or its inside lies outside."""
+    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+    triangles: NDArray[np.int64] = np.ascontiguousarray(faces, dtype=np.int64)
+    if not len(triangles) or not np.isfinite(vertices).all():
+        raise BadMesh(
+            "E-MESH-EMPTY", "mesh", "no triangles, or coordinates that are not finite; a closed mesh is needed"
+        )
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    length = np.linalg.norm(cross, axis=1)
+    if not length.any():
+        raise BadMesh("E-MESH-EMPTY", "mesh", "all triangles have area 0; a closed mesh is needed")
+    volume = np.einsum("ij,ij->", a, cross) / 6
+    if volume <= 0:
+        raise BadMesh("E-MESH-INSIDE-OUT", "mesh", f"volume {volume:g}; triangles must wind outwards, volume above 0")
+    normals = cross / np.maximum(length, 1e-300)[:, None]
+    # Triangles thinner than rounding have no direction of their own, and none of their points decides a sign.
+    normals[length < 1e-14 * length.max()] = 0
+    tree = igl.AABB()
+    tree.init(vertices, triangles)
+    solid = Solid(vertices, triangles, normals, length / 2, tree, False)
+
+    # Where all of the surface separates in from out, the face nearest to a point tells its side.
+    points, face = sample_surface(solid, 1500, 1)
+    step = 1e-6 * solid.size * normals[face]
+    outside = igl.fast_winding_number(vertices, triangles, points + step)
+    inside = igl.fast_winding_number(vertices, triangles, points - step)
+    simple = (
+        np.mean((outside < 0.5) & (inside > 0.5)) > 0.998
+    )  # the rest: the approximation of the winding number at thin slits
+    return Solid(vertices, triangles, normals, length / 2, tree, bool(simple))
+
+
+def sample_surface(solid: Solid, count: int, seed: int) -> tuple[Array, NDArray[np.int64]]:
+    """Area-uniform, evenly spread points on the surface: (count, 3), and the face (count,) of each."""
+    rng = np.random.default_rng(seed)
+    # Systematic sampling along a space-filling order of the faces: each gets its share of points to within one.
+    order = _morton_order(solid.vertices[solid.faces].mean(axis=1))
+    ends = np.cumsum(solid.areas[order])
+    at = (np.arange(count) + rng.random()) * (ends[-1] / count)
+    slot = np.minimum(np.searchsorted(ends, at, side="right"), len(order) - 1)
+    first = np.searchsorted(slot, slot, side="left")
+    face = order[slot]
+    start = rng.random((len(order), 2))
+    u, v = ((start[slot] + (np.arange(count) - first)[:, None] * _R2) % 1.0).T
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+    a, b, c = (solid.vertices[solid.faces[face, k]] for k in range(3))
+    return a + u[:, None] * (b - a) + v[:, None] * (c - a), face
+
+
+def closest_points(solid: Solid, points: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Exact distance (n,) from points (n, 3) to the surface, the closest point (n, 3) and its face (n,)."""
+    squared, face, closest = solid.tree.squared_distance(solid.vertices, solid.faces, np.ascontiguousarray(points))
+    return np.sqrt(squared), closest, face
+
+
+def signed_distance(solid: Solid, points: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Exact distance (n,) to the surface, positive outside, with closest point (n, 3) and its face (n,).
+
+    Sign: winding number above 0.5 is inside. Where the closest point lies straight below the face and the mesh does not
+    overlap itself, the face's side says the same, 10 to 100 times faster.
+    """
+    distance, closest, face = closest_points(solid, points)
+    along = np.einsum("ij,ij->i", points - closest, solid.normals[face])
+    outside = along > 0
+    # 0.999: beside an edge or a corner the direction leaves the normal of the one face that was returned.
+    unsure = np.flatnonzero((np.abs(along) < 0.999 * distance) | (not solid.simple))
+    if len(unsure):
+        outside[unsure] = igl.fast_winding_number(solid.vertices, solid.faces, points[unsure]) < 0.5
+    return np.where(outside, distance, -distance), closest, face
+
+
+def _morton_order(points: Array) -> NDArray[np.int64]:
+    """Order of points (n, 3) along a Z curve of 2^10 cells a side."""
+    low = points.min(axis=0)
+    cell = ((points - low) / max(np.ptp(points, axis=0).max(), 1e-300) * 1023).astype(np.int64)
+    key = np.zeros(len(points), dtype=np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            key |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(key, kind="stable")
