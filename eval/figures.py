@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -16,7 +17,7 @@ COLUMN_WIDTH_IN = 3.5  # one column of an IEEE journal
 PANEL_IN, LEGEND_IN, BOTTOM_IN = 1.2, 0.24, 0.36
 # Okabe and Ito's colours: told apart by colour-blind readers and in print.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-STYLE = {
+STYLE: Any = {  # keyed by rcParams names
     "font.family": "STIXGeneral",  # shipped with matplotlib, so the files are the same on every machine
     "mathtext.fontset": "stix",
     "font.size": 8,

@@ -45,7 +45,8 @@ def build_page(runs: list[Judged], title: str) -> str:
         if shown["object"] not in content["objects"]:
             tree = judged.pack.objects[judged.object_name]
             content["objects"][shown["object"]] = object_shape(tree, leaf_level(judged))
-        sections.append(run_section(number, judged, last_frame=shown["time_s"]["shape"][0] - 1))
+        heading = f"<h2>{escape(judged.name)}</h2>" if len(runs) > 1 else ""
+        sections.append(run_section(number, judged, heading, last_frame=shown["time_s"]["shape"][0] - 1))
     return fill(
         "page.html",
         title=escape(title),
@@ -67,6 +68,12 @@ def leaf_level(judged: Judged) -> int:
     return int(judged.run.header.get("level", -1))
 
 
+def force_mm_per_n(judged: Judged) -> float:
+    """Length of a force arrow: the longest of 0.5 to 20 mm a newton that keeps the run's highest force within 80 mm."""
+    highest = np.linalg.norm(judged.run.fingertip_force_n, axis=2).max()
+    return max((scale for scale in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0) if scale * highest <= 80), default=0.2)
+
+
 def run_content(judged: Judged) -> dict[str, Any]:
     """What the script needs of one run."""
     run = judged.run
@@ -78,6 +85,7 @@ def run_content(judged: Judged) -> dict[str, Any]:
         "time_s": pack_array(run.time_s[steps]),
         "steps": pack_array(steps),
         "poses": poses(run, steps),
+        "force_mm_per_n": force_mm_per_n(judged),
         "first": int(np.searchsorted(steps, worst["highest force"][0])),  # the moment that the page opens at
         "phases": run.phases,
         "panels": [
@@ -114,7 +122,7 @@ def readouts(judged: Judged) -> list[tuple[str, str, str, int, np.ndarray]]:
     return shown
 
 
-def run_section(number: int, judged: Judged, last_frame: int) -> str:
+def run_section(number: int, judged: Judged, heading: str, last_frame: int) -> str:
     """One run: verdict, replay, charts, metrics, settings."""
     worst = "".join(
         f'<button type="button" data-step="{step}">{escape(label)} <small>{escape(note)}</small></button>'
@@ -128,7 +136,8 @@ def run_section(number: int, judged: Judged, last_frame: int) -> str:
     return fill(
         "run.html",
         number=number,
-        name=escape(judged.name),
+        heading=heading,
+        force_scale=f"{force_mm_per_n(judged):g}",
         verdict=verdict_line(judged.passed, judged.verdict),
         facts=facts(judged),
         last_frame=last_frame,

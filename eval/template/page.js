@@ -24,7 +24,8 @@ class Replay {
     this.numbers = find(".readouts");
     this.playing = false;
     if (sharedRenderer()) {
-      this.view = new View(find(".view canvas"), run.poses, content.hands[run.hand], content.objects[run.object], run.first);
+      this.view = new View(find(".view canvas"), run.poses, content.hands[run.hand], content.objects[run.object],
+        run.first, run.force_mm_per_n);
     } else {
       find(".view").classList.add("without-webgl");
     }

@@ -1,6 +1,5 @@
 // 3-D replay. Lengths are millimetres on screen, metres in the data: three's controls ignore moves far below 1 unit.
 const MM = 1000;
-const FORCE_MM_PER_N = 10;
 const SMOOTH_ABOVE_FACES = 8000;
 const SKIN = 0xe3ae8c, HAPTIC = 0x2f6fde, OBJECT = 0x9ba6b3, SPHERES = 0x7fa88b, FORCE = 0xc8102e;
 
@@ -131,7 +130,8 @@ function buildObject(shape) {
 }
 
 class View {
-  constructor(canvas, poses, handShape, objectShape, first) {
+  constructor(canvas, poses, handShape, objectShape, first, forceMmPerN) {
+    this.forceMmPerN = forceMmPerN;
     this.canvas = canvas;
     this.picture = canvas.getContext("bitmaprenderer");
     this.graphic = decode(poses.graphic);
@@ -228,7 +228,7 @@ class View {
     this.scene.updateMatrixWorld();
     this.arrows.forEach((arrow, finger) => {
       const f = new THREE.Vector3(force[3 * finger], force[3 * finger + 1], force[3 * finger + 2]);
-      const size = f.length() * FORCE_MM_PER_N;
+      const size = f.length() * this.forceMmPerN;
       arrow.visible = size > 0.2 && !this.withoutForces;
       if (!arrow.visible) return;
       this.hand.fingertips[finger].getWorldPosition(arrow.position);

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+
 from palmar.errors import PalmarError
 from palmar.eval.figures import write_figures
 from palmar.eval.judge import fingertips, graphic_poses
