@@ -14,6 +14,14 @@ def read_trace(path: str) -> tuple[dict[str, str], dict[str, np.ndarray], dict[s
 def read_run(path: str) -> tuple[dict[str, str], dict[str, np.ndarray], dict[str, int]]:
     """Header, columns as in `palmar.records.Run`, and what was lost. Raises BadTrace."""
 
+def resample(
+    header: dict[str, str], columns: dict[str, np.ndarray], method: str, rate_hz: float
+) -> dict[str, np.ndarray]:
+    """The columns of a trace on a uniform grid: what a replay steps on. method: "hold", "linear" or "pchip".
+
+    Raises BadTrace, PalmarError.
+    """
+
 def replay(
     pack: str,
     trace: str,

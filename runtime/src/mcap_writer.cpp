@@ -25,9 +25,9 @@ template <class T>
 void put(Buffer& to, T value)
   requires std::is_integral_v<T>
 {
-  std::uint8_t raw[sizeof(T)];
-  std::memcpy(raw, &value, sizeof(T));
-  to.insert(to.end(), raw, raw + sizeof(T));
+  const std::size_t at = to.size();
+  to.resize(at + sizeof(T));
+  std::memcpy(to.data() + at, &value, sizeof(T));
 }
 
 void put_text(Buffer& to, std::string_view text) {

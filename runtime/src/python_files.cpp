@@ -135,10 +135,10 @@ nb::ndarray<nb::numpy, const T, nb::c_contig, nb::device::cpu> given(const nb::d
   bool fits = array.ndim() == sizes.size();
   for (std::size_t i = 0; fits && i < sizes.size(); ++i) fits = array.shape(i) == sizes[i];
   if (!fits) {
-    std::string needed;
-    for (const std::size_t n : sizes) needed += (needed.empty() ? "" : ", ") + std::to_string(n);
-    throw Error("E-TRACE-COLUMN", where,
-                "shape " + nb::cast<std::string>(nb::str(converted.attr("shape"))) + "; (" + needed + ") is needed");
+    std::string shape_text, needed;
+    for (std::size_t i = 0; i < array.ndim(); ++i) shape_text += (i ? ", " : "") + std::to_string(array.shape(i));
+    for (std::size_t i = 0; i < sizes.size(); ++i) needed += (i ? ", " : "") + std::to_string(sizes[i]);
+    throw Error("E-TRACE-COLUMN", where, "shape (" + shape_text + "); (" + needed + ") is needed");
   }
   return array;
 }

@@ -142,6 +142,7 @@ Run read_run(const std::string& path) {
   std::size_t seen = 0;
   ContactColumns columns;
   TimingMessage timing;
+  run.steps.reserve(file.bytes.size() / sizeof(StepResult));  // a step takes at least that much of the file
   for (const McapMessage& message : file.messages) {
     const auto channel = channels.find(message.channel);
     if (channel == channels.end()) continue;
