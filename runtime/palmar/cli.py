@@ -28,9 +28,7 @@ app = typer.Typer(
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
 OutFile = Annotated[Path, typer.Option("--out", "-o", help="File to write.")]
 OutFolder = Annotated[Path, typer.Option("--out", "-o", help="Folder to write to; made if it is not there.")]
-Object = Annotated[
-    str, typer.Option("--object", help="Name of the object in the pack; may be left out if it has only one.")
-]
+Object = Annotated[str, typer.Option("--object", help="Name of the object; needed if the pack has several.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Same seed, same bytes.")]
 
 

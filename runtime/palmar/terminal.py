@@ -56,10 +56,12 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], title: st
 
 
 def print_fields(fields: dict[str, Any]) -> None:
-    """One `name  value` a line, aligned."""
+    """One `name  value` a line, aligned; of a list or a dict one entry a line, and none of an empty one."""
     width = max((len(name) for name in fields), default=0)
     for name, value in fields.items():
-        print(f"{name:<{width}}  {cell(value)}")
+        parts = [f"{key}: {cell(part)}" for key, part in value.items()] if isinstance(value, dict) else value
+        for number, part in enumerate(parts if isinstance(parts, list) else [parts]):
+            print(f"{'' if number else name:<{width}}  {cell(part)}")
 
 
 def print_json(answer: dict[str, Any]) -> None:
