@@ -200,8 +200,9 @@ def overview_table(runs: list[Judged]) -> str:
         by_key = {(row["metric"], row["stat"]): row for row in judged.rows}
         hard = sum(count for name, count in hard_steps(judged.run).items() if name not in INPUT_BITS)
         outcome = "pass" if judged.passed else "fail"
+        damaged = " <strong>(file damaged)</strong>" if any(judged.run.lost.values()) else ""
         cells = [
-            f'<td class="name"><a href="#run-{number}">{escape(judged.name)}</a></td>',
+            f'<td class="name"><a href="#run-{number}">{escape(judged.name)}</a>{damaged}</td>',
             f'<td class="{outcome}">{outcome}</td>',
             *(value_cell(by_key.get(key)) for key in columns),
             f'<td class="number">{hard:,}</td>',
