@@ -21,11 +21,13 @@ from palmar.tools.mesh import Mesh, weld
 Progress = Callable[[str, float], None]
 Array = NDArray[np.float64]
 
-SAMPLES = 20_000
+SAMPLES = 10_000
 # Winding numbers are taken this far off the skin: well above their float32 noise, far below anything a finger feels.
 OFFSET_OF_SIZE = 1e-4
 # Share of the skin (by area) that may read wrong before it is a fault: sharp rims are thinner than the offset.
 DOUBLED_SHARE, WRONG_SHARE = 0.001, 0.01
+# Grid cells along the side of a block of the coarse grid that closing looks at first.
+BLOCK = 4
 # A closed mesh farther than this from what it was made of, as a part of its size, is worth a warning.
 WARN_OF_SIZE = 0.01
 # A body smaller than this part of the whole is debris of the grid.
@@ -212,18 +214,11 @@ def _remesh(where: str, mesh: Mesh, cell: float) -> tuple[Mesh, int]:
     import manifold3d
 
     low = mesh.vertices_m.min(axis=0) - 2.5 * cell
-    counts = np.ceil((mesh.vertices_m.max(axis=0) + 2.5 * cell - low) / cell).astype(int) + 1
-    # marching_cubes wants x fastest.
-    z, y, x = np.meshgrid(*(np.arange(n) for n in counts[::-1]), indexing="ij")
-    points = low + cell * np.stack([x, y, z], axis=-1).reshape(-1, 3)
-    rim = ((x == 0) | (y == 0) | (z == 0) | (x == counts[0] - 1) | (y == counts[1] - 1) | (z == counts[2] - 1)).reshape(
-        -1
-    )
-    if (_winding(mesh, points[rim]) > 0.5).any():
-        raise BadMesh(
-            "E-MESH-SOUP", where, "its faces do not agree what is inside: by their winding, its inside has no bounds"
-        )
-    winding = _winding(mesh, points) - 0.5
+    blocks = np.ceil((mesh.vertices_m.max(axis=0) + 2.5 * cell - low) / (BLOCK * cell)).astype(int)
+    counts = BLOCK * blocks + 1
+    # marching_cubes wants x fastest: arrays are indexed z, y, x.
+    points = low + cell * np.moveaxis(np.indices(counts[::-1])[::-1], 0, -1).reshape(-1, 3)
+    winding = _winding_on_grid(where, mesh, points.reshape(*counts[::-1], 3), cell).reshape(-1)
     gap = _gap_near_skin(mesh, points, winding, counts, cell)
     vertices, faces, vertex_of_edge = igl.marching_cubes(gap, points, *(int(n) for n in counts), 0.0)
     if len(faces) == 0:
@@ -241,6 +236,53 @@ def _remesh(where: str, mesh: Mesh, cell: float) -> tuple[Mesh, int]:
     if not kept:
         raise BadMesh("E-MESH-SOUP", where, "nothing larger than the grid is enclosed: no inside exists")
     return _from_manifold(manifold3d.Manifold.compose(kept), mesh), len(bodies) - len(kept)
+
+
+def _winding_on_grid(where: str, mesh: Mesh, points: Array, cell: float) -> Array:
+    """Winding number less 0.5 at grid points (nz, ny, nx, 3): exact in blocks that skin or the 0.5 level can cross.
+
+    Away from skin the winding number is smooth; in blocks that lie on one side of 0.5 it is given as -0.5 or 0.5.
+    Raises BadMesh if the inside reaches the grid's rim.
+    """
+    import igl
+    from scipy.ndimage import binary_dilation
+
+    coarse = np.ascontiguousarray(points[::BLOCK, ::BLOCK, ::BLOCK])
+    flat = coarse.reshape(-1, 3)
+    inside = (_winding(mesh, flat) > 0.5).reshape(coarse.shape[:3])
+    _require_bounds(where, inside)
+    squared, _, _ = igl.point_mesh_squared_distance(flat, mesh.vertices_m, mesh.faces.astype(np.int64))
+    # No point of a block is farther from its nearest corner than half its diagonal.
+    close = (np.sqrt(squared) <= 0.5 * np.sqrt(3) * BLOCK * cell * (1 + 1e-6)).reshape(inside.shape)
+    some, every = _of_corners(inside, np.logical_or), _of_corners(inside, np.logical_and)
+    unsure = binary_dilation(some & ~every, np.ones((3, 3, 3))) | _of_corners(close, np.logical_or)
+
+    winding = np.full(points.shape[:3], -0.5)
+    exact = np.zeros(points.shape[:3], dtype=bool)
+    for block, array, value in ((every, winding, 0.5), (unsure, exact, True)):
+        inner = block.repeat(BLOCK, 0).repeat(BLOCK, 1).repeat(BLOCK, 2)
+        # A block owns the points on all of its sides.
+        for z, y, x in np.ndindex(2, 2, 2):
+            part = array[z : z + inner.shape[0], y : y + inner.shape[1], x : x + inner.shape[2]]
+            part[inner] = value
+    winding[exact] = _winding(mesh, points[exact]) - 0.5
+    _require_bounds(where, winding > 0)
+    return winding
+
+
+def _require_bounds(where: str, inside: NDArray[np.bool_]) -> None:
+    rim = inside.copy()
+    rim[1:-1, 1:-1, 1:-1] = False
+    if rim.any():
+        found = "its faces do not agree what is inside: by their winding, its inside has no bounds"
+        raise BadMesh("E-MESH-SOUP", where, found)
+
+
+def _of_corners(flags: NDArray[np.bool_], join: Any) -> NDArray[np.bool_]:
+    """Flags of points (nz, ny, nx) joined over the eight corners of each block."""
+    for axis in range(3):
+        flags = join(np.delete(flags, -1, axis), np.delete(flags, 0, axis))
+    return flags
 
 
 def _gap_near_skin(mesh: Mesh, points: Array, winding: Array, counts: NDArray[Any], cell: float) -> Array:

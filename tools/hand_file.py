@@ -221,7 +221,7 @@ def _read_grid(where: str, table: Any) -> Array:
     counts = table["counts"]
     if not isinstance(counts, list) or len(counts) != 2 or not all(type(n) is int and 1 <= n <= 100 for n in counts):
         raise BadPack("E-CONF", f"{where}.counts", f"{counts!r}; two whole numbers from 1 to 100 are needed")
-    grid_y, grid_x = np.meshgrid(np.linspace(*y, counts[1]), np.linspace(*x, counts[0]), indexing="ij")
+    grid_y, grid_x = np.meshgrid(np.linspace(y[0], y[1], counts[1]), np.linspace(x[0], x[1], counts[0]), indexing="ij")
     z, radius = _numbers(where, table, "z_m", ()), get_number(where, table, "radius_m", 0.0, MAX_RADIUS_M)
     flat = np.ones(grid_x.size)
     return np.column_stack([grid_x.ravel(), grid_y.ravel(), z * flat, radius * flat])

@@ -9,6 +9,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +26,10 @@ MAX_BYTES = 512 * 2**20
 MAX_RATIO = 100  # unpacked to packed, above 16 MiB
 
 # Readers fail in as many ways as files are broken; each of these becomes one E-MESH-FORMAT.
-READER_FAILURES = (ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, NameError)
-READER_FAILURES += (NotImplementedError, RuntimeError, TypeError, ValueError, ImportError, struct.error)
+READER_FAILURES: tuple[type[Exception], ...] = (
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, NameError),
+    *(NotImplementedError, RuntimeError, TypeError, ValueError, ImportError, struct.error),
+)
 
 
 @dataclass(frozen=True)
@@ -68,9 +71,9 @@ def read_mesh(path: str | Path, *, units: str | None = None, size_mm: float | No
         raise BadMesh("E-MESH-FORMAT", where, f"{extension or 'no'!r} extension; {known} are read, also with .gz")
     content = _unpack(where, raw) if packed else raw
     expected = count_triangles(where, extension, content)
-    vertices, faces = _read_triangles(where, extension, content)
-    check_mesh(where, vertices, faces, expected)
-    vertices, faces = weld(vertices, faces)
+    points, corners = _read_triangles(where, extension, content)
+    check_mesh(where, points, corners, expected)
+    vertices, faces = weld(points, corners)
     if len(faces) == 0:
         raise BadMesh("E-MESH-EMPTY", where, f"all {expected} faces have two equal corners; none has an area")
     longest = float(np.ptp(vertices, axis=0).max())
@@ -133,7 +136,9 @@ def _read_triangles(where: str, extension: str, content: bytes) -> tuple[NDArray
     if extension in ("obj", "off") or b"\0" not in content:
         # Names and comments in any encoding; the numbers are ASCII.
         content = content.decode("ascii", "replace").encode("ascii", "replace")
-    options = {"split_object": False, "group_material": False, "skip_materials": True} if extension == "obj" else {}
+    options: dict[str, Any] = (
+        {"split_object": False, "group_material": False, "skip_materials": True} if extension == "obj" else {}
+    )
     try:
         scene = trimesh.load_scene(io.BytesIO(content), file_type=extension, process=False, resolver=None, **options)
         mesh = scene.to_mesh()

@@ -103,9 +103,9 @@ def _obj(where: str, content: bytes) -> int:
     for number, row in enumerate(_lines(content), 1):
         if row[:2] in ("f ", "f\t"):
             for word in row.split()[1:]:
-                index = word.partition("/")[0]
-                if index.isdecimal() and int(index) > vertices:
-                    raise BadMesh("E-MESH-INDEX", f"{where}:{number}", f"vertex {index}; the file has {vertices}")
+                digits = word.partition("/")[0]
+                if digits.isdecimal() and int(digits) > vertices:
+                    raise BadMesh("E-MESH-INDEX", f"{where}:{number}", f"vertex {digits}; the file has {vertices}")
     return triangles
 
 

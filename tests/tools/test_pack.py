@@ -13,6 +13,7 @@ from palmar.errors import PalmarError
 from palmar.model import load_pack
 from palmar.tools.close import require_closed
 from palmar.tools.hand_file import default_hand, read_hand
+from palmar.tools.hierarchy import levels_over
 from palmar.tools.mesh import Mesh
 from palmar.tools.pack import build
 from palmar.tools.shapes import SHAPES
@@ -47,42 +48,54 @@ def refused(folder: Path, meshes, **options) -> PalmarError:
     return caught.value
 
 
-def test_a_pack_holds_what_was_built(box, tmp_path):
+@pytest.fixture(scope="module")
+def built(tmp_path_factory) -> tuple[Path, Path, dict, list[tuple[str, float]]]:
+    """The same build twice: two packs, the answer, and the progress that was told."""
+    folder = tmp_path_factory.mktemp("built")
+    BOX.export(folder / "box.obj")
     told: list[tuple[str, float]] = []
-    out = tmp_path / "out.pack"
-    answer = build([box, "shape:sphere"], out, spheres=30, progress=lambda *now: told.append(now))
-    pack = load_pack(out)
-    assert list(answer["objects"]) == ["box", "sphere"] and set(pack.objects) == {"box", "sphere"}
-    assert answer["sha256"] == pack.sha256 and answer["bytes"] == out.stat().st_size
+    # 3 mm on a box of 100 mm: a tree of three levels in the least time.
+    wants = {"error_mm": 3.0, "close": True, "seed": 3}
+    answer = build([folder / "box.obj"], folder / "a.pack", progress=lambda *now: told.append(now), **wants)
+    build([folder / "box.obj"], folder / "b.pack", **wants)
+    return folder / "a.pack", folder / "b.pack", answer, told
+
+
+def test_the_same_input_gives_the_same_bytes(built):
+    first, second, _, _ = built
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_a_pack_holds_what_was_built(built):
+    path, _, answer, _ = built
+    pack = load_pack(path)
+    assert list(answer["objects"]) == list(pack.objects) == ["box"]
+    assert answer["sha256"] == pack.sha256 and answer["bytes"] == path.stat().st_size
     assert json.loads(json.dumps(answer)) == answer
-    assert pack.manifest["objects"] == answer["objects"] and pack.manifest["seed"] == 0
+    assert pack.manifest["objects"] == answer["objects"] and pack.manifest["seed"] == 3
     for name, value in vars(default_hand()).items():
         same = value == getattr(pack.hand, name) if name == "about" else np.array_equal(value, getattr(pack.hand, name))
         assert same, name
-    for tree in pack.objects.values():
-        assert [level["spheres"] for level in tree.about["levels"]] == [len(level) for level in tree.levels]
-        # The budget is of leaves; a tree may stop short of it, never go over.
-        assert 10 <= len(tree.leaves) <= 30
-        assert (tree.parents[0] == -1).all()
-        for child, parent, index in zip(tree.levels[1:], tree.levels, tree.parents[1:], strict=False):
-            apart = np.linalg.norm(child[:, :3] - parent[index, :3], axis=1)
-            # 1e-12 m: rounding of a distance of some centimetres is 1e-17.
-            assert (apart + child[:, 3] <= parent[index, 3] + 1e-12).all()
-    vertices, faces = pack.objects["box"].vertices_m, pack.objects["box"].faces
-    assert trimesh.Trimesh(vertices, faces, process=False).volume == pytest.approx(0.04 * 0.06 * 0.1, rel=1e-9)
-    shares = [fraction for _, fraction in told]
+    tree = pack.objects["box"]
+    assert tree.about["closed"] is None and tree.about["units"] == "m"
+    assert trimesh.Trimesh(tree.vertices_m, tree.faces, process=False).volume == pytest.approx(
+        0.04 * 0.06 * 0.1, rel=1e-9
+    )
+
+
+def test_levels_in_the_pack_are_a_tree(built):
+    tree = load_pack(built[0]).objects["box"]
+    assert [level["spheres"] for level in tree.about["levels"]] == [len(level) for level in tree.levels]
+    assert len(tree.levels) > 1 and (tree.parents[0] == -1).all()
+    for child, parent, index in zip(tree.levels[1:], tree.levels, tree.parents[1:], strict=False):
+        apart = np.linalg.norm(child[:, :3] - parent[index, :3], axis=1)
+        # 1e-12 m: rounding of a distance of some centimetres is 1e-17.
+        assert (apart + child[:, 3] <= parent[index, 3] + 1e-12).all()
+
+
+def test_progress_only_grows(built):
+    shares = [fraction for _, fraction in built[3]]
     assert shares == sorted(shares) and min(shares) >= 0 and max(shares) <= 1
-
-
-def test_the_same_input_gives_the_same_bytes(box, tmp_path):
-    opened = tmp_path / "opened.obj"
-    trimesh.creation.icosphere(2, radius=0.04).submesh([np.arange(315)], append=True).export(opened)
-    contents = []
-    for name in ("a.pack", "b.pack"):
-        answer = build([box], tmp_path / name, spheres=20, close=True, seed=3)
-        contents.append((tmp_path / name).read_bytes())
-        assert answer["objects"]["box"]["closed"] is None
-    assert contents[0] == contents[1]
 
 
 def test_leaves_from_a_csv_are_kept_as_they_are(box, tmp_path):
@@ -171,17 +184,24 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(box, tmp_path
 def test_closing_is_written_down_with_its_figures(tmp_path):
     flipped = tmp_path / "flipped.stl"
     trimesh.Trimesh(BOX.vertices, BOX.faces[:, ::-1], process=False).export(flipped)
-    assert refused(tmp_path, [flipped], spheres=20).code == "E-MESH-INSIDE-OUT"
-    answer = build([flipped], tmp_path / "out.pack", spheres=20, close=True)
+    csv = write_csv(tmp_path / "leaves.csv", LEAVES)
+    assert refused(tmp_path, [flipped], spheres_csv=csv).code == "E-MESH-INSIDE-OUT"
+    answer = build([flipped], tmp_path / "out.pack", spheres_csv=csv, close=True)
     about = answer["objects"]["flipped"]
     assert about["closed"].startswith("repaired, turned 12 faces")
     assert about["parameters"]["closing"]["moved_mm"]["mesh_to_solid"]["max"] < 1e-6 and answer["warnings"] == []
 
 
-def test_a_toml_list_names_objects_hand_and_what_each_wants(box, tmp_path):
+def test_a_toml_list_names_objects_hand_and_what_each_wants(box, tmp_path, monkeypatch):
+    wanted = []
+
+    def record(vertices, faces, **wants):
+        wanted.append((wants["error_m"], wants["spheres"], wants["seed"]))
+        return (*levels_over(LEAVES), {})
+
+    monkeypatch.setattr("palmar.tools.pack.build_levels", record)
     write_csv(tmp_path / "leaves.csv", LEAVES)
-    hand = tmp_path / "hand.toml"
-    hand.write_text(REFERENCE_HAND.read_text())
+    (tmp_path / "hand.toml").write_text(REFERENCE_HAND.read_text())
     assets = tmp_path / "assets.toml"
     assets.write_text(
         'hand = "hand.toml"\n'
@@ -189,12 +209,15 @@ def test_a_toml_list_names_objects_hand_and_what_each_wants(box, tmp_path):
         '[[object]]\nmesh = "box.obj"\nspheres_csv = "leaves.csv"\n'
         '[[object]]\nmesh = "shape:cube"\n'
     )
-    answer = build([assets], tmp_path / "out.pack", spheres=15)
+    answer = build([assets], tmp_path / "out.pack", error_mm=2.0, seed=5)
     pack = load_pack(tmp_path / "out.pack")
+    assert wanted == [(None, 12, 5), (0.002, None, 5)]
     assert answer["hand"]["name"] == "reference" and list(answer["objects"]) == ["big", "box", "cube"]
     assert np.ptp(pack.objects["big"].vertices_m, axis=0).max() == pytest.approx(0.2, rel=1e-12)
-    assert len(pack.objects["big"].leaves) <= 12 < 15 and np.array_equal(pack.objects["box"].leaves, LEAVES)
+    assert np.array_equal(pack.objects["box"].leaves, LEAVES)
     assert answer["objects"]["cube"]["source"] == "shape:cube"
+    build([box], tmp_path / "out.pack")
+    assert wanted[-1] == (0.0005, None, 0), "half a millimetre where nothing is asked for"
 
 
 @pytest.mark.parametrize(
