@@ -121,7 +121,10 @@ const StepResult& Session::step(const Sample& sample) {
     bool clipped;
     haptic_ = inside_limits(q, clipped);
     if (clipped) status |= kLimit;
-    if (!state_.started && start_at(haptic_)) status |= kRecovering;
+    if (!state_.started) {
+      if (start_at(haptic_)) status |= kRecovering;
+      state_.haptic = haptic_;
+    }
     status |= solve_({hand_, palm_, object_, settings_}, haptic_, state_, work_);
   } else {
     status |= kBadSample;
@@ -210,6 +213,7 @@ std::uint64_t Session::hash_state() const {
   mix(hash, state_.graphic.abduction.data(), sizeof state_.graphic.abduction);
   mix(hash, state_.graphic.flexion.data(), sizeof state_.graphic.flexion);
   mix(hash, &state_.reach, sizeof state_.reach);
+  mix(hash, state_.haptic.flexion.data(), sizeof state_.haptic.flexion);
   return hash;
 }
 

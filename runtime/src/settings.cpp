@@ -26,6 +26,7 @@ const std::vector<Key>& keys() {
       {"free_reach_m", &Settings::free_reach_m, 1e-4, 10},
       {"imposed_priority", &Settings::imposed_priority, 1e-3, 1e6},
       {"iterations", &Settings::iterations, 1, 1000},
+      {"joint_step_rad", &Settings::joint_step_rad, 1e-4, 100},
       {"level", &Settings::level, -1, 64},
       {"palm_priority", &Settings::palm_priority, 1e-3, 1e6},
       {"qp_iterations", &Settings::qp_iterations, 1, 100'000},

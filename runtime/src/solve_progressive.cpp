@@ -22,6 +22,8 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
+constexpr int kAttempts = 3;  // trial poses along one direction: all of it, a quarter, a sixteenth
+
 double microseconds_since(Clock::time_point start) {
   return std::chrono::duration<double, std::micro>(Clock::now() - start).count();
 }
@@ -68,19 +70,14 @@ Change variable_bounds(const HandModel& hand, double motion) {
   return bound;
 }
 
-void joint_room(const HandModel& hand, const Configuration& q, Change& lower, Change& upper) {
-  lower.fill(-std::numeric_limits<double>::infinity());
-  upper.fill(std::numeric_limits<double>::infinity());
-  for (int f = 0; f < kFingers; ++f) {
-    const Finger& finger = hand.finger[f];
-    const int v = kPalmVariables + kFingerVariables * f;
-    lower[v] = std::min(0.0, finger.abduction_limit[0] - q.abduction[f]);
-    upper[v] = std::max(0.0, finger.abduction_limit[1] - q.abduction[f]);
-    for (int j = 0; j < kPhalanges; ++j) {
-      lower[v + 1 + j] = std::min(0.0, finger.flexion_limit[j][0] - q.flexion[f][j]);
-      upper[v + 1 + j] = std::max(0.0, finger.flexion_limit[j][1] - q.flexion[f][j]);
-    }
-  }
+// How far each flexion may be from where the step began: its own rate, or the haptic hand's if that is faster. A finger
+// that comes free swings back to the haptic one instead of jumping.
+std::array<double, 15> flexion_rates(const Configuration& haptic, const Configuration& before, double least) {
+  std::array<double, 15> rate;
+  for (int f = 0; f < kFingers; ++f)
+    for (int j = 0; j < kPhalanges; ++j)
+      rate[3 * f + j] = std::max(least, std::abs(haptic.flexion[f][j] - before.flexion[f][j]));
+  return rate;
 }
 
 // One step's attempt to better the pose: everything a round needs, so that the round reads top to bottom.
@@ -90,6 +87,8 @@ struct Round {
   SolverState& state;
   Workspace& work;
   Change weight;
+  Configuration begin;  // of the step
+  std::array<double, 15> rate;
 
   Configuration trial;
   HandPlacement trial_placement;
@@ -106,21 +105,54 @@ struct Round {
     return motion <= work.candidates.margin && least >= 0;
   }
 
-  QpResult programme(const HandPlacement& at, const Configuration& q, const double* gap, double limit, double motion,
-                     bool push_out, bool& fits) {
+  // What the joint limits and the rates leave of each variable from q; never without zero.
+  void joint_room(const Configuration& q, Change& lower, Change& upper) const {
+    lower.fill(-std::numeric_limits<double>::infinity());
+    upper.fill(std::numeric_limits<double>::infinity());
+    for (int f = 0; f < kFingers; ++f) {
+      const Finger& finger = scene.hand.finger[f];
+      const int v = kPalmVariables + kFingerVariables * f;
+      lower[v] = std::min(0.0, finger.abduction_limit[0] - q.abduction[f]);
+      upper[v] = std::max(0.0, finger.abduction_limit[1] - q.abduction[f]);
+      for (int j = 0; j < kPhalanges; ++j) {
+        const double angle = q.flexion[f][j], from = begin.flexion[f][j], most = rate[3 * f + j];
+        lower[v + 1 + j] = std::min(0.0, std::max(finger.flexion_limit[j][0], from - most) - angle);
+        upper[v + 1 + j] = std::max(0.0, std::min(finger.flexion_limit[j][1], from + most) - angle);
+      }
+    }
+  }
+
+  // The programme at a pose: towards `wish`, no variable carrying a link farther than `motion`.
+  QpResult programme(const HandPlacement& at, const Configuration& q, const double* gap, const Change& wish,
+                     double motion, bool push_out) {
     const auto start = Clock::now();
     const Settings& s = scene.settings;
-    fits =
-        linearise(scene.hand, work.candidates, at, gap, limit, s.aim_m, push_out, work.rows, work.row_candidate.data());
+    QpResult result;
+    if (!linearise(scene.hand, work.candidates, at, gap, motion, s.aim_m, push_out, work.rows,
+                   work.row_candidate.data())) {
+      result.status = QpStatus::iteration_limit;
+      return result;
+    }
     QpProblem problem;
     for (int v = 0; v < kVariables; ++v) problem.inverse_weight[v] = 1.0 / weight[v];
-    problem.target = difference(haptic, q);
+    problem.target = wish;
     problem.bound = variable_bounds(scene.hand, motion);
-    joint_room(scene.hand, q, problem.lower, problem.upper);
-    QpResult result = solve_qp(problem, work.rows, 1e-9, s.qp_iterations, work.violation.data());
+    joint_room(q, problem.lower, problem.upper);
+    result = solve_qp(problem, work.rows, 1e-9, s.qp_iterations, work.violation.data());
     work.operations += work.rows.count + result.iterations;
     work.solve_us += microseconds_since(start);
     return result;
+  }
+
+  // Moves the trial pose, which sinks in by a second-order error, the least way to where every gap is `aim` again.
+  bool restore(double allowed, double& least, double& motion) {
+    for (int k = 0; k < scene.settings.corrections && least < 0 && motion <= work.candidates.margin; ++k) {
+      const Configuration here = trial;
+      const QpResult result = programme(trial_placement, here, work.trial_gap.data(), Change{}, allowed, true);
+      if (result.status != QpStatus::solved) return false;
+      if (verify(advance(here, result.x, 1.0), least, motion)) return true;
+    }
+    return false;
   }
 
   void remember_active(const QpResult& result) {
@@ -161,55 +193,48 @@ RoundEnd run_round(Round& r) {
   for (int i = 0; i < work.candidates.count; ++i) least = std::min(least, work.gap[i]);
 
   Change step = way;
-  double allowed = room;
+  Configuration next = r.haptic;
+  double allowed = room, fraction = 1.0;
   if (least <= room) {
     // Linear rows are good to about motion^2 / (2 x 50 mm): near contact a round moves no farther than reach_most.
     allowed = std::min(room, std::max(scene.settings.reach_most_m, least));
-    bool fits;
-    const QpResult result = r.programme(start_placement, start, work.gap.data(), allowed, allowed, false, fits);
-    if (!fits || result.status != QpStatus::solved) return end;
+    const QpResult result = r.programme(start_placement, start, work.gap.data(), way, allowed, false);
+    if (result.status != QpStatus::solved) return end;
     step = result.x;
+    next = advance(start, step, 1.0);
     r.remember_active(result);
   } else {
     work.active_count = 0;
+    Change lower, upper;
+    r.joint_room(start, lower, upper);
+    for (int v = 0; v < kVariables; ++v) step[v] = std::clamp(way[v], lower[v], upper[v]);
+    // With nothing in the way it is the haptic pose itself, so that a free hand is the haptic hand to the bit.
+    if (step != way) next = advance(start, step, 1.0);
   }
 
-  double smallest, motion;
-  double fraction = 1.0;
-  const Configuration full = least > room ? r.haptic : advance(start, step, 1.0);
-  bool good = r.verify(full, smallest, motion);
-  double from_start = largest_motion(scene.hand, start_placement, r.trial_placement);
-  if (from_start > allowed) {
-    end.cut = true;
-    // Rotations bend the path: two rounds of scaling bring the motion within what is allowed.
+  for (int attempt = 0; attempt < kAttempts; ++attempt) {
+    double smallest, motion;
+    bool good = r.verify(next, smallest, motion);
+    double from_start = largest_motion(scene.hand, start_placement, r.trial_placement);
+    // Rotations bend the path: a few rounds of scaling bring the motion within what is allowed.
     for (int k = 0; k < 3 && from_start > allowed; ++k) {
+      end.cut = true;
       fraction *= 0.99 * allowed / from_start;
       good = r.verify(advance(start, step, fraction), smallest, motion);
       from_start = largest_motion(scene.hand, start_placement, r.trial_placement);
     }
-  }
-  if (from_start < scene.settings.settled_m) return end;
-
-  const auto accept = [&] { return good && cost(r.weight, difference(r.haptic, r.trial)) < start_cost; };
-  for (int k = 0; k < scene.settings.corrections && smallest < 0 && motion <= work.candidates.margin; ++k) {
-    bool fits;
-    const Configuration here = r.trial;
-    const HandPlacement here_placement = r.trial_placement;
-    const QpResult result = r.programme(here_placement, here, work.trial_gap.data(), allowed, allowed, true, fits);
-    if (!fits || result.status != QpStatus::solved) break;
-    r.remember_active(result);
-    good = r.verify(advance(here, result.x, 1.0), smallest, motion);
-  }
-  // Along the first direction, short enough, the exact gaps follow the linear ones.
-  for (int k = 0; k < 3 && !accept(); ++k) {
+    if (from_start < scene.settings.settled_m) return end;
+    if (!good) good = r.restore(allowed, smallest, motion);
+    if (good && cost(r.weight, difference(r.haptic, r.trial)) < start_cost) {
+      end.motion = largest_motion(scene.hand, start_placement, r.trial_placement);
+      end.moved = end.motion >= scene.settings.settled_m;
+      if (end.moved) r.publish();
+      return end;
+    }
+    // A quarter of the way has a sixteenth of the error.
     fraction *= 0.25;
-    good = r.verify(advance(start, step, fraction), smallest, motion);
-    end.cut = true;
+    next = advance(start, step, fraction);
   }
-  if (!accept()) return end;
-  end.motion = largest_motion(scene.hand, start_placement, r.trial_placement);
-  end.moved = end.motion >= scene.settings.settled_m;
-  if (end.moved) r.publish();
   return end;
 }
 
@@ -255,7 +280,16 @@ bool has_yielded(const Round& r) {
 
 std::uint32_t solve_progressive(const Scene& scene, const Configuration& haptic, SolverState& state, Workspace& work) {
   const Settings& s = scene.settings;
-  Round round{scene, haptic, state, work, programme_weights(scene.hand, s), {}, {}};
+  Round round{scene,
+              haptic,
+              state,
+              work,
+              programme_weights(scene.hand, s),
+              state.graphic,
+              flexion_rates(haptic, state.haptic, s.joint_step_rad),
+              {},
+              {}};
+  state.haptic = haptic;
   work.active_count = 0;
 
   const double wanted = largest_motion(scene.hand, state.placement, place_hand(scene.hand, haptic));
