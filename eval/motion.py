@@ -10,6 +10,7 @@ from palmar.eval.judge import carried, haptic_poses, shape_in_object
 
 Array = NDArray[np.float64]
 EASY_DEG = 1.0  # a joint may always turn so far in a step: a 60 degree flexion in 100 ms peaks near 1.1 degree a ms
+CATCH_UP_S = 0.1  # 100 degrees at the 1 degree a step that a finger may swing
 ROUNDING = 1e-6  # mm, degrees: a lag below it is rounding between the object's frame and the world
 RECOVERY = "recovery"  # phases of this name may have larger steps
 
@@ -61,14 +62,17 @@ def _in_free_steps(case: Case, lag: Array) -> Array:
 def _free(case: Case) -> NDArray[np.bool_]:
     """Steps with nothing in the way: the graphic hand of the step before is nearer to the haptic hand than to a sphere.
 
-    Distance to the haptic hand is the farthest that any point has to go. A sample that was refused or cut at a joint
-    limit does not count.
+    Distance to the haptic hand is the farthest that any point has to go. Only steps that end CATCH_UP_S of such steps
+    count: a finger let go by an object may swing back at a rate instead of jumping. A sample that was refused or cut at
+    a joint limit does not count.
     """
     haptic = shape_in_object(case.pack.hand, haptic_poses(case.run), case.run)
     farthest = np.hstack(carried(case.shape[:-1], haptic[1:])).max(axis=1)
     free = np.concatenate([[False], farthest < case.sphere_gap_m[:-1]]) & ~case.has_status("bad_sample", "limit")
+    last_held = np.maximum.accumulate(np.where(free, -np.inf, case.run.time_s))
+    free &= case.run.time_s - last_held >= CATCH_UP_S
     if not free.any():
-        raise NotMeasured("no step with nothing near the hand")
+        raise NotMeasured("no step with nothing near the hand for long enough")
     return free
 
 

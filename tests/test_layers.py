@@ -14,8 +14,8 @@ KNOW_ALL = ("cli", "demo")
 LAYERS = [
     "error records algebra crc32 cdr mcap",
     "sphere_tree hand schemas mcap_reader mcap_writer",
-    "object gap qp pack_file resample trace_file run_file",
-    "contacts",
+    "object gap qp pack_file resample channels",
+    "contacts trace_file run_file",
     "force",
     "solver",
     "solve_.*",

@@ -20,7 +20,7 @@ from palmar.tools.cover import union_gap
 from palmar.tools.hierarchy import levels_over as levels_over
 from palmar.tools.medial import medial_balls, merged_indices
 from palmar.tools.set_cover import Incidence, cover_greedily, find_incidence, ruin_and_recreate
-from palmar.tools.solid import Solid, make_solid, sample_surface
+from palmar.tools.solid import Solid, closest_points, make_solid, sample_surface
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -31,7 +31,8 @@ UNCOVERED = 0.01  # the share beyond the 99th percentile
 _FINEST = 1e-4
 _JUDGED = 120_000  # independent samples
 _MARGIN = 1.3  # candidates are made with pairs up to this much over the budget
-_GREEDY_EXCESS = 1.05  # a greedy cover has so many more balls than it has after improving
+_GREEDY_EXCESS = 1.12  # a greedy cover has so many more balls than it has after improving
+_STEPS = (0.6, 0.45, 0.3, 0.3)
 
 
 def build_levels(
@@ -81,6 +82,8 @@ class _Candidates:
     """Balls (k, 4) to choose from, the samples they reach within a budget of G, and how many may stay uncovered."""
 
     balls: Array
+    samples: Array
+    surface: tuple[Array, Array]
     pairs: Incidence
     budget: float
     spare: int
@@ -99,24 +102,21 @@ def _within_error(solid: Solid, error: float, seed: int, tell: Progress) -> Arra
     tell("candidates", 0.05)
     made = _make_candidates(solid, budget, int(min(expected, CAP)), seed)
     target = budget * 0.95  # independent samples find a little more than those that were covered
-    chosen: list[int] = []
-    for attempt in range(8):
-        pairs = made.pairs.within(target)
-        tell("cover", 0.3 + 0.02 * attempt)
-        chosen = cover_greedily(pairs, chosen, made.spare, CAP)
-        if len(chosen) >= CAP or _uncovered(pairs, chosen) > 3 * made.spare + 10:
-            raise BadMesh(
-                "E-MESH-ERROR",
-                "error",
-                f"{error * 1e3:g} mm is not reached with {len(chosen):,} of {CAP:,} spheres; ask for a larger error",
-            )
-        if attempt == 0:
-            tell("improve", 0.4)
-            chosen = ruin_and_recreate(pairs, chosen, made.spare, 1, _rounds(len(chosen)), seed)
+    tell("cover", 0.25)
+    chosen = cover_greedily(made.pairs.within(target), [], made.spare, CAP)
+    _refuse_if_short(made, target, chosen, error)
+    for turn, step in enumerate(_STEPS):
+        tell("improve", 0.3 + 0.15 * turn)
+        made = _move(solid, made, chosen, target, step, seed + turn)
+        chosen = list(range(len(chosen)))
+        chosen = ruin_and_recreate(made.pairs.within(target), chosen, made.spare, 1, _rounds(len(chosen)), seed + turn)
+    for _ in range(8):
         reach = _judge(solid, made.balls[chosen], seed)
-        if reach <= budget * 0.985:  # 1.5 %: what the 99th percentile varies by between sets of samples
+        if reach <= 0.985 * budget:  # 1.5 %: what the 99th percentile varies by between sets of samples
             break
         target *= 0.98 * budget / reach
+        chosen = cover_greedily(made.pairs.within(target), chosen, made.spare, CAP)
+        _refuse_if_short(made, target, chosen, error)
     return made.balls[chosen]
 
 
@@ -134,22 +134,40 @@ def _within_count(solid: Solid, count: int, seed: int, tell: Progress) -> Array:
     for attempt in range(10):
         if not made.budget / 2 <= budget <= made.budget * _MARGIN:
             made = _make_candidates(solid, budget, count, seed)
-        tell("cover", 0.3 + 0.02 * attempt)
+        tell("cover", 0.2 + 0.01 * attempt)
         chosen = cover_greedily(made.pairs.within(budget), [], made.spare, 3 * count + 10)
         share = len(chosen) / max(_GREEDY_EXCESS * count, 1)
-        if abs(share - 1) < 0.015 or (share <= 1 and (budget == finest or count < 12)):
+        if abs(share - 1) < 0.06 or (share <= 1 and (budget == finest or count < 12)):
             break
-        # Error falls as 1 / count.
-        budget = max(budget * np.clip(share, 0.4, 2.5) ** (1.0 if attempt < 4 else 0.5), finest)
-    tell("improve", 0.5)
-    pairs = made.pairs.within(budget)
-    chosen = ruin_and_recreate(pairs, chosen, made.spare, count, _rounds(count), seed)
-    if len(chosen) < count and budget > finest:
-        tighter = max(budget * len(chosen) / count, finest)
-        chosen = cover_greedily(made.pairs.within(tighter), chosen, made.spare, count)
+        # Error falls as 1 / count, but for a body of few balls: that needs as many at any error.
+        budget = max(budget * np.clip(share, 0.4 if share > 0.1 else 0.0, 2.5) ** (1.0 if attempt < 4 else 0.5), finest)
+
+    for turn, step in enumerate(_STEPS):
+        tell("improve", 0.3 + 0.15 * turn)
+        made = _move(solid, made, chosen, budget, step, seed + turn)
+        chosen = list(range(len(chosen)))
+        last = turn == len(_STEPS) - 1
+        pairs = made.pairs.within(budget)
+        chosen = cover_greedily(pairs, chosen, made.spare, 3 * count + 10)
+        chosen = ruin_and_recreate(pairs, chosen, made.spare, count if last else 1, _rounds(len(chosen)), seed + turn)
+        if not last and count >= 12:
+            budget = max(budget * np.clip(len(chosen) / count, 0.8, 1.25), finest)
     if len(chosen) > count:
         chosen = [chosen[k] for k in cover_greedily(pairs.of(chosen), [], 0, count)]
+    elif len(chosen) < count and budget > finest:
+        chosen = cover_greedily(made.pairs.within(budget * len(chosen) / count), chosen, 0, count)
     return made.balls[chosen]
+
+
+def _refuse_if_short(made: _Candidates, target: float, chosen: list[int], error: float) -> None:
+    """Raise BadMesh if the chosen balls do not cover what they should."""
+    uncovered = made.pairs.samples - len(np.unique(made.pairs.within(target).of(chosen).sample))
+    if len(chosen) >= CAP or uncovered > 2 * made.spare + 10:
+        raise BadMesh(
+            "E-MESH-ERROR",
+            "error",
+            f"{error * 1e3:g} mm is not reached with {len(chosen):,} of {CAP:,} spheres; ask for a larger error",
+        )
 
 
 def _make_candidates(solid: Solid, budget: float, count: int, seed: int) -> _Candidates:
@@ -157,13 +175,38 @@ def _make_candidates(solid: Solid, budget: float, count: int, seed: int) -> _Can
     samples, _ = sample_surface(solid, int(np.clip(80 * count, 10_000, max(120_000, 12 * count))), seed + 1)
     surface = (sample_surface(solid, 2_000, seed + 2)[0], sample_surface(solid, 10_000, seed + 3)[0])
     points, face = sample_surface(solid, int(np.clip(8 * count, 2_500, max(25_000, 2 * count))), seed + 4)
-    # Tight balls follow the shape, slack ones pass over its facets and dents: covers want both.
-    tried = [medial_balls(solid, points, face, part * budget, budget, surface) for part in (0.03, 0.4)]
+    tried = [medial_balls(solid, points, face, slack, budget, surface) for slack in _slacks(solid, budget)]
     balls = np.concatenate(tried)
     if not len(balls):
         raise BadMesh("E-MESH-EMPTY", "mesh", "no point lies clearly inside; a mesh with a volume is needed")
     balls = balls[merged_indices(balls, budget)]
-    return _Candidates(balls, find_incidence(balls, samples, budget * _MARGIN), budget, int(UNCOVERED * len(samples)))
+    pairs = find_incidence(balls, samples, budget * _MARGIN)
+    return _Candidates(balls, samples, surface, pairs, budget, int(UNCOVERED * len(samples)))
+
+
+def _move(solid: Solid, made: _Candidates, chosen: list[int], budget: float, step: float, seed: int) -> _Candidates:
+    """The chosen balls, first and in order, and eight medial balls around each, for a finer choice.
+
+    They start at random about `step` discs away (see `merged_indices`).
+    """
+    rng = np.random.default_rng(seed)
+    balls = made.balls[chosen]
+    reach = step * np.sqrt(2 * balls[:, 3] * budget + budget**2)
+    starts = np.repeat(balls[:, :3], 8, axis=0)
+    starts += rng.normal(size=starts.shape) * np.repeat(reach, 8)[:, None] / np.sqrt(3)
+    _, points, face = closest_points(solid, starts)
+    tight, slack = (
+        medial_balls(solid, points[k::2], face[k::2], slack, budget / 4, made.surface)
+        for k, slack in enumerate(_slacks(solid, budget))
+    )
+    balls = np.concatenate([balls, tight, slack])
+    pairs = find_incidence(balls, made.samples, budget * 1.05)
+    return _Candidates(balls, made.samples, made.surface, pairs, budget, made.spare)
+
+
+def _slacks(solid: Solid, budget: float) -> tuple[float, float]:
+    """What may enter a candidate: tight ones follow the shape, slack ones pass over facets and dents; covers want both."""
+    return max(0.03 * budget, 0.5 * _FINEST * solid.size), 0.4 * budget
 
 
 def _medial_radii(solid: Solid, seed: int) -> Array:
@@ -184,9 +227,6 @@ def _judge(solid: Solid, balls: Array, seed: int) -> float:
     return max(float(np.quantile(union_gap(balls, points), 1 - UNCOVERED)), 0.0)
 
 
-def _uncovered(pairs: Incidence, chosen: list[int]) -> int:
-    return pairs.samples - len(np.unique(pairs.of(chosen).sample))
-
-
 def _rounds(count: int) -> int:
-    return 6 * min(count, 4000)
+    """Rounds of ruin and recreate: three a ball, then fewer, for the time that they take."""
+    return 3 * min(count, 1000) + max(0, min(count, 20_000) - 1000)

@@ -29,7 +29,7 @@ def read_scenario_csv(path: str | Path) -> Trace:
     time_s = log.columns["t"]
     count = len(time_s)
     assumptions = [
-        "The columns hold metres, radians, seconds and quaternions w x y z, of the reference hand's right side.",
+        "The columns hold metres, radians, seconds and quaternions w x y z, of the reference hand, a left one.",
         "The log has no abduction: all five are 0.",
         "The object stands still in the frame the palm is given in.",
     ]
@@ -37,7 +37,7 @@ def read_scenario_csv(path: str | Path) -> Trace:
     header = {
         "device": "scenario-csv",
         "hand": "reference",
-        "side": "right",
+        "side": "left",
         "source": Path(path).name,
         "source_sha256": log.sha256,
         "assumptions": json.dumps(assumptions),

@@ -213,6 +213,7 @@ std::uint64_t Session::hash_state() const {
   mix(hash, state_.graphic.abduction.data(), sizeof state_.graphic.abduction);
   mix(hash, state_.graphic.flexion.data(), sizeof state_.graphic.flexion);
   mix(hash, &state_.reach, sizeof state_.reach);
+  mix(hash, state_.haptic.abduction.data(), sizeof state_.haptic.abduction);
   mix(hash, state_.haptic.flexion.data(), sizeof state_.haptic.flexion);
   return hash;
 }

@@ -70,13 +70,16 @@ Change variable_bounds(const HandModel& hand, double motion) {
   return bound;
 }
 
-// How far each flexion may be from where the step began: its own rate, or the haptic hand's if that is faster. A finger
-// that comes free swings back to the haptic one instead of jumping.
-std::array<double, 15> flexion_rates(const Configuration& haptic, const Configuration& before, double least) {
-  std::array<double, 15> rate;
-  for (int f = 0; f < kFingers; ++f)
+// How far each angle may be from where the step began: its own rate, or the haptic hand's if that is faster. A finger
+// that comes free swings back to the haptic one instead of jumping. Abduction first, then flexions, finger by finger.
+std::array<double, kVariables - kPalmVariables> angle_rates(const Configuration& haptic, const Configuration& before,
+                                                            double least) {
+  std::array<double, kVariables - kPalmVariables> rate;
+  for (int f = 0; f < kFingers; ++f) {
+    rate[kFingerVariables * f] = std::max(least, std::abs(haptic.abduction[f] - before.abduction[f]));
     for (int j = 0; j < kPhalanges; ++j)
-      rate[3 * f + j] = std::max(least, std::abs(haptic.flexion[f][j] - before.flexion[f][j]));
+      rate[kFingerVariables * f + 1 + j] = std::max(least, std::abs(haptic.flexion[f][j] - before.flexion[f][j]));
+  }
   return rate;
 }
 
@@ -88,7 +91,7 @@ struct Round {
   Workspace& work;
   Change weight;
   Configuration begin;  // of the step
-  std::array<double, 15> rate;
+  std::array<double, kVariables - kPalmVariables> rate;
 
   Configuration trial;
   HandPlacement trial_placement;
@@ -112,13 +115,13 @@ struct Round {
     for (int f = 0; f < kFingers; ++f) {
       const Finger& finger = scene.hand.finger[f];
       const int v = kPalmVariables + kFingerVariables * f;
-      lower[v] = std::min(0.0, finger.abduction_limit[0] - q.abduction[f]);
-      upper[v] = std::max(0.0, finger.abduction_limit[1] - q.abduction[f]);
-      for (int j = 0; j < kPhalanges; ++j) {
-        const double angle = q.flexion[f][j], from = begin.flexion[f][j], most = rate[3 * f + j];
-        lower[v + 1 + j] = std::min(0.0, std::max(finger.flexion_limit[j][0], from - most) - angle);
-        upper[v + 1 + j] = std::max(0.0, std::min(finger.flexion_limit[j][1], from + most) - angle);
-      }
+      const auto room = [&](int k, double angle, double from, const std::array<double, 2>& limit) {
+        const double most = rate[kFingerVariables * f + k];
+        lower[v + k] = std::min(0.0, std::max(limit[0], from - most) - angle);
+        upper[v + k] = std::max(0.0, std::min(limit[1], from + most) - angle);
+      };
+      room(0, q.abduction[f], begin.abduction[f], finger.abduction_limit);
+      for (int j = 0; j < kPhalanges; ++j) room(1 + j, q.flexion[f][j], begin.flexion[f][j], finger.flexion_limit[j]);
     }
   }
 
@@ -286,7 +289,7 @@ std::uint32_t solve_progressive(const Scene& scene, const Configuration& haptic,
               work,
               programme_weights(scene.hand, s),
               state.graphic,
-              flexion_rates(haptic, state.haptic, s.joint_step_rad),
+              angle_rates(haptic, state.haptic, s.joint_step_rad),
               {},
               {}};
   state.haptic = haptic;

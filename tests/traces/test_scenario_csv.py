@@ -18,7 +18,7 @@ def test_reference_scenario_comes_in_value_by_value(shared, name):
     np.testing.assert_allclose(trace.palm_rotation_wxyz, table[:, 4:8], rtol=0, atol=1e-9)
     np.testing.assert_array_equal(trace.flexion_rad.reshape(-1, 15), table[:, 8:23])
     assert not trace.abduction_rad.any() and not trace.has_object_pose.any() and trace.tracked.all()
-    assert trace.header["hand"] == "reference" and trace.header["side"] == "right" and trace.header["rate_hz"] == "1000"
+    assert trace.header["hand"] == "reference" and trace.header["side"] == "left" and trace.header["rate_hz"] == "1000"
 
 
 def test_reference_scenario_keeps_its_phases(shared):
