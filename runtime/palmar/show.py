@@ -13,8 +13,8 @@ from palmar.records import Run, Trace
 from palmar.replay import count_status
 from palmar.terminal import print_fields, print_table
 
-LEVEL_COLUMNS = ("object", "level", "spheres", "protrusion max mm", "p99", "mean", "gap max mm", "p99", "mean")
-LEVEL_COLUMNS += ("normals median deg", "p95")
+LEVEL_COLUMNS = ["object", "level", "spheres", "protrusion max mm", "p99", "mean", "gap max mm", "p99", "mean"]
+LEVEL_COLUMNS += ["normals median deg", "p95"]
 LEVEL_ERRORS = [(figure, stat) for figure in ("protrusion_mm", "gap_mm") for stat in ("max", "p99", "mean")]
 LEVEL_ERRORS += [("normal_error_deg", "median"), ("normal_error_deg", "p95")]
 
