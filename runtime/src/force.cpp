@@ -20,6 +20,12 @@ Mat3 link_frame(const HandPlacement& at, int link) {
 
 Vec3 link_origin(const HandPlacement& at, int link) { return link == 0 ? at.position : at.phalanx[link - 1].c1; }
 
+Vec3 towards(const Vec3& from, const Vec3& to, double step) {
+  const Vec3 way = to - from;
+  const double length = way.norm();
+  return length <= step ? to : Vec3(from + step / length * way);
+}
+
 }  // namespace
 
 Forces spring_forces(const HandModel& hand, const Configuration& graphic, const HandPlacement& graphic_at,
@@ -37,6 +43,38 @@ Forces spring_forces(const HandModel& hand, const Configuration& graphic, const 
     forces.fingertip[f] = hand.palm_stiffness * (way - way.dot(u) * u);
   }
   return forces;
+}
+
+ForceSteps force_steps(const HandModel& hand, const Configuration& haptic, const HandPlacement& haptic_at,
+                       const Configuration& before, const HandPlacement& before_at, double step) {
+  constexpr double kLever = 0.05;  // metres, of a finger: what turns a force step into a torque step
+  const Change d = difference(haptic, before);
+  ForceSteps steps;
+  steps.palm_force = hand.palm_stiffness * Vec3(d[0], d[1], d[2]).norm() + step;
+  steps.palm_torque = hand.palm_rotation_stiffness * Vec3(d[3], d[4], d[5]).norm() + step * hand.reach;
+  for (int f = 0; f < kFingers; ++f) {
+    for (int j = 0; j < kPhalanges; ++j)
+      steps.joint_torque[3 * f + j] =
+          hand.finger[f].stiffness[j] * std::abs(d[kPalmVariables + kFingerVariables * f + 1 + j]) + step * kLever;
+    const double tip = (haptic_at.phalanx[3 * f + 2].c2 - before_at.phalanx[3 * f + 2].c2).norm();
+    steps.fingertip[f] = hand.palm_stiffness * tip + step;
+  }
+  return steps;
+}
+
+Forces follow(const Forces& felt, const Forces& spring, const ForceSteps& steps) {
+  Forces out;
+  out.palm_force = towards(felt.palm_force, spring.palm_force, steps.palm_force);
+  out.palm_torque = towards(felt.palm_torque, spring.palm_torque, steps.palm_torque);
+  for (int i = 0; i < 15; ++i) {
+    const double way = spring.joint_torque[i] - felt.joint_torque[i];
+    out.joint_torque[i] = std::abs(way) <= steps.joint_torque[i]
+                              ? spring.joint_torque[i]
+                              : felt.joint_torque[i] + std::copysign(steps.joint_torque[i], way);
+  }
+  for (int f = 0; f < kFingers; ++f)
+    out.fingertip[f] = towards(felt.fingertip[f], spring.fingertip[f], steps.fingertip[f]);
+  return out;
 }
 
 Vec3 equation14_force(const HandModel& hand, int link, const Vec3& point, const Vec3& normal,

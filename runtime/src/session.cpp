@@ -56,7 +56,9 @@ Session::Session(HandModel hand, std::vector<Sphere> object, Settings settings)
       settings_(std::move(settings)),
       solve_(find_solver(settings_.solver)),
       work_(settings_),
-      contacts_(kContactCapacity) {}
+      contacts_(kContactCapacity) {
+  state_.placement = haptic_before_at_ = place_hand(hand_, state_.graphic);
+}
 
 bool Session::usable(const Sample& s) const {
   return s.tracked && std::isfinite(s.time_s) && finite(s.pose.palm.position_m.data(), 3) &&
@@ -123,6 +125,8 @@ const StepResult& Session::step(const Sample& sample) {
     if (clipped) status |= kLimit;
     if (!state_.started) {
       if (start_at(haptic_)) status |= kRecovering;
+      haptic_before_ = haptic_;
+      haptic_before_at_ = place_hand(hand_, haptic_);
       state_.haptic = haptic_;
     }
     status |= solve_({hand_, palm_, object_, settings_}, haptic_, state_, work_);
@@ -154,7 +158,12 @@ void Session::report(const Configuration& haptic) {
   result_.operations = work_.operations;
 
   const HandPlacement haptic_at = place_hand(hand_, haptic);
-  const Forces forces = spring_forces(hand_, state_.graphic, state_.placement, haptic, haptic_at);
+  const Forces spring = spring_forces(hand_, state_.graphic, state_.placement, haptic, haptic_at);
+  felt_ = follow(felt_, spring,
+                 force_steps(hand_, haptic, haptic_at, haptic_before_, haptic_before_at_, settings_.force_step_n));
+  const Forces& forces = felt_;
+  haptic_before_ = haptic;
+  haptic_before_at_ = haptic_at;
   result_.palm_force_n = to_array(direction(forces.palm_force));
   result_.palm_torque_n_m = to_array(direction(forces.palm_torque));
   result_.joint_torque_n_m = forces.joint_torque;
@@ -212,6 +221,10 @@ std::uint64_t Session::hash_state() const {
   mix(hash, state_.graphic.rotation.coeffs().data(), 32);
   mix(hash, state_.graphic.abduction.data(), sizeof state_.graphic.abduction);
   mix(hash, state_.graphic.flexion.data(), sizeof state_.graphic.flexion);
+  mix(hash, felt_.palm_force.data(), 24);
+  mix(hash, felt_.palm_torque.data(), 24);
+  mix(hash, felt_.joint_torque.data(), sizeof felt_.joint_torque);
+  for (const Vec3& tip : felt_.fingertip) mix(hash, tip.data(), 24);
   mix(hash, &state_.reach, sizeof state_.reach);
   mix(hash, state_.haptic.abduction.data(), sizeof state_.haptic.abduction);
   mix(hash, state_.haptic.flexion.data(), sizeof state_.haptic.flexion);

@@ -39,7 +39,10 @@ class Session {
   SolveFunction solve_;
   Workspace work_;
   SolverState state_;
-  Configuration haptic_;  // last usable one, object frame
+  Configuration haptic_;         // last usable one, object frame
+  Configuration haptic_before_;  // the one that felt_ was given for
+  HandPlacement haptic_before_at_;
+  Forces felt_;           // object frame
   Placement placed_;      // world from object, of the last usable sample
   HandPose haptic_pose_;  // as it came, world
   StepResult result_;

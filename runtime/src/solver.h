@@ -28,6 +28,7 @@ struct Settings {
   double free_reach_m = 0.1;      // and where nothing is
   double aim_m = 1e-6;            // gap that a linearised row asks for; what is published has gap >= 0
   double joint_step_rad = 0.0174;  // an angle changes by at most this in a step, or by what the haptic one did if more
+  double force_step_n = 0.05;      // force added or taken in a step beyond what the haptic hand's motion explains
   double settled_m = 1e-9;         // a step that would move the hand less leaves it, bit for bit
 };
 
