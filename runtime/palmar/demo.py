@@ -8,9 +8,10 @@ from typing import Any
 
 from palmar.replay import replay_file
 
-# A flat-sided body, a hollow one with a thin wall, and one with thin concave parts: each is hard in its own way.
-OBJECTS = ("cube", "cup", "ears")
-ERROR_MM = 0.5
+# A body with a flat end and a sharp rim, one with concave lobes, one with two ears for fingers to get caught between. A fingertip
+# hovers or sinks in by as much as the spheres are wrong, so they are held to the limit of hover.
+OBJECTS = ("cylinder", "shamrock", "ears")
+ERROR_MM = 0.25
 
 
 def make_demo(

@@ -159,8 +159,10 @@ void Session::report(const Configuration& haptic) {
 
   const HandPlacement haptic_at = place_hand(hand_, haptic);
   const Forces spring = spring_forces(hand_, state_.graphic, state_.placement, haptic, haptic_at);
-  felt_ = follow(felt_, spring,
-                 force_steps(hand_, haptic, haptic_at, haptic_before_, haptic_before_at_, settings_.force_step_n));
+  const double step = settings_.force_step_n;
+  felt_ = step == 0
+              ? spring
+              : follow(felt_, spring, force_steps(hand_, haptic, haptic_at, haptic_before_, haptic_before_at_, step));
   const Forces& forces = felt_;
   haptic_before_ = haptic;
   haptic_before_at_ = haptic_at;

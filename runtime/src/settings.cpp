@@ -23,7 +23,7 @@ const std::vector<Key>& keys() {
       {"aim_m", &Settings::aim_m, 1e-9, 1e-3},
       {"candidates", &Settings::candidates, 64, 1'000'000},
       {"corrections", &Settings::corrections, 0, 100},
-      {"force_step_n", &Settings::force_step_n, 1e-6, 1e9},
+      {"force_step_n", &Settings::force_step_n, 0, 1e9},
       {"free_reach_m", &Settings::free_reach_m, 1e-4, 10},
       {"imposed_priority", &Settings::imposed_priority, 1e-3, 1e6},
       {"iterations", &Settings::iterations, 1, 1000},

@@ -28,7 +28,8 @@ struct Settings {
   double free_reach_m = 0.1;      // and where nothing is
   double aim_m = 1e-6;            // gap that a linearised row asks for; what is published has gap >= 0
   double joint_step_rad = 0.0174;  // an angle changes by at most this in a step, or by what the haptic one did if more
-  double force_step_n = 0.05;      // force added or taken in a step beyond what the haptic hand's motion explains
+  double force_step_n = 0;         // above 0: forces follow the spring's at most so much a step faster than the
+                                   // haptic hand's own motion explains
   double settled_m = 1e-9;         // a step that would move the hand less leaves it, bit for bit
 };
 
