@@ -36,11 +36,11 @@ def medial_balls(
             if not len(active):
                 break
             radius[active] = _tangent_radius(points[active], normals[active], samples[nearest[entered]], radius[active])
+        # Before the finer distance: far inside a round body it is dear, and there most balls are the same.
+        balls = np.column_stack([points - radius[:, None] * normals, radius])
+        kept = merged_indices(balls, budget / 4)
+        points, normals, radius = points[kept], normals[kept], radius[kept]
 
-    # Before the exact distance: far inside a round body it is dear, and there most balls are the same.
-    balls = np.column_stack([points - radius[:, None] * normals, radius])
-    kept = merged_indices(balls, budget / 4)
-    points, normals, radius = points[kept], normals[kept], radius[kept]
     centre = balls[kept, :3]
     signed = np.empty(len(points))
     active = np.arange(len(points))

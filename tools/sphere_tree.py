@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmar.errors import BadMesh
+from palmar.tools.corners import cover_corners
 from palmar.tools.cover import union_gap
 from palmar.tools.hierarchy import levels_over as levels_over
 from palmar.tools.medial import medial_balls, merged_indices
@@ -30,6 +31,9 @@ UNCOVERED = 0.01  # the share beyond the 99th percentile
 # Finer than this share of the object's size, spheres would copy the facets of a round mesh one by one.
 _FINEST = 1e-4
 _JUDGED = 120_000  # independent samples
+_ALLOWED = 0.985  # of the error: what the 99th percentile varies by between sets of samples
+_WORST = 1.6  # times G: what even a corner or an edge should not exceed
+_CORNERS = 0.05  # share of a given count that may go to them
 _MARGIN = 1.3  # candidates are made with pairs up to this much over the budget
 _GREEDY_EXCESS = 1.12  # a greedy cover has so many more balls than it has after improving
 _STEPS = (0.6, 0.45, 0.3, 0.3)
@@ -108,16 +112,23 @@ def _within_error(solid: Solid, error: float, seed: int, tell: Progress) -> Arra
     for turn, step in enumerate(_STEPS):
         tell("improve", 0.3 + 0.15 * turn)
         made = _move(solid, made, chosen, target, step, seed + turn)
-        chosen = list(range(len(chosen)))
-        chosen = ruin_and_recreate(made.pairs.within(target), chosen, made.spare, 1, _rounds(len(chosen)), seed + turn)
-    for _ in range(8):
-        reach = _judge(solid, made.balls[chosen], seed)
-        if reach <= 0.985 * budget:  # 1.5 %: what the 99th percentile varies by between sets of samples
-            break
-        target *= 0.98 * budget / reach
+        pairs = made.pairs.within(target)
+        chosen = cover_greedily(pairs, list(range(len(chosen))), made.spare, CAP)
+        chosen = ruin_and_recreate(pairs, chosen, made.spare, 1, _rounds(len(chosen)), seed + turn)
+        if turn == 0:
+            continue
+        # What the corners' balls cover, the others need not.
+        balls = _with_corners(solid, made, chosen, budget, seed, CAP)
+        reach = _judge(solid, balls, seed)
+        target *= np.clip(_ALLOWED * budget / max(reach, 1e-3 * budget), 0.8, 1.05)
+    while reach > _ALLOWED * budget:
+        target *= 0.995
         chosen = cover_greedily(made.pairs.within(target), chosen, made.spare, CAP)
         _refuse_if_short(made, target, chosen, error)
-    return made.balls[chosen]
+        balls = _with_corners(solid, made, chosen, budget, seed, CAP)
+        reach = _judge(solid, balls, seed)
+        target *= min(_ALLOWED * budget / reach, 1.0)
+    return balls
 
 
 def _within_count(solid: Solid, count: int, seed: int, tell: Progress) -> Array:
@@ -139,9 +150,12 @@ def _within_count(solid: Solid, count: int, seed: int, tell: Progress) -> Array:
         share = len(chosen) / max(_GREEDY_EXCESS * count, 1)
         if abs(share - 1) < 0.06 or (share <= 1 and (budget == finest or count < 12)):
             break
-        # Error falls as 1 / count, but for a body of few balls: that needs as many at any error.
-        budget = max(budget * np.clip(share, 0.4 if share > 0.1 else 0.0, 2.5) ** (1.0 if attempt < 4 else 0.5), finest)
+        # Error falls as 1 / count, but for a body of few balls, which needs as many at any error.
+        change = np.clip(share, 0.4, 2.5) if share > 0.1 else 0.0
+        budget = max(budget * change ** (1.0 if attempt < 4 else 0.5), finest)
 
+    corners = int(_CORNERS * count)
+    total, count = count, count - corners
     for turn, step in enumerate(_STEPS):
         tell("improve", 0.3 + 0.15 * turn)
         made = _move(solid, made, chosen, budget, step, seed + turn)
@@ -152,17 +166,25 @@ def _within_count(solid: Solid, count: int, seed: int, tell: Progress) -> Array:
         chosen = ruin_and_recreate(pairs, chosen, made.spare, count if last else 1, _rounds(len(chosen)), seed + turn)
         if not last and count >= 12:
             budget = max(budget * np.clip(len(chosen) / count, 0.8, 1.25), finest)
+    # The last of the count go where the error is largest.
+    count = total - len(_with_corners(solid, made, chosen, budget, seed, corners)) + len(chosen)
     if len(chosen) > count:
         chosen = [chosen[k] for k in cover_greedily(pairs.of(chosen), [], 0, count)]
     elif len(chosen) < count and budget > finest:
         chosen = cover_greedily(made.pairs.within(budget * len(chosen) / count), chosen, 0, count)
-    return made.balls[chosen]
+    return _with_corners(solid, made, chosen, budget, seed, total - len(chosen))
+
+
+def _with_corners(solid: Solid, made: _Candidates, chosen: list[int], budget: float, seed: int, most: int) -> Array:
+    """The chosen balls and at most `most` more for the corners."""
+    balls = made.balls[chosen]
+    return np.concatenate([balls, cover_corners(solid, balls, _WORST * budget, made.surface, seed + 9, most)])
 
 
 def _refuse_if_short(made: _Candidates, target: float, chosen: list[int], error: float) -> None:
-    """Raise BadMesh if the chosen balls do not cover what they should."""
+    """Raise BadMesh if the chosen balls do not cover what they should, or cannot at half of the budget either."""
     uncovered = made.pairs.samples - len(np.unique(made.pairs.within(target).of(chosen).sample))
-    if len(chosen) >= CAP or uncovered > 2 * made.spare + 10:
+    if len(chosen) >= CAP or uncovered > 2 * made.spare + 10 or target < error:
         raise BadMesh(
             "E-MESH-ERROR",
             "error",
@@ -205,7 +227,7 @@ def _move(solid: Solid, made: _Candidates, chosen: list[int], budget: float, ste
 
 
 def _slacks(solid: Solid, budget: float) -> tuple[float, float]:
-    """What may enter a candidate: tight ones follow the shape, slack ones pass over facets and dents; covers want both."""
+    """What may enter a candidate: tight ones follow the shape, slack ones pass over its facets; covers want both."""
     return max(0.03 * budget, 0.5 * _FINEST * solid.size), 0.4 * budget
 
 
@@ -228,5 +250,5 @@ def _judge(solid: Solid, balls: Array, seed: int) -> float:
 
 
 def _rounds(count: int) -> int:
-    """Rounds of ruin and recreate: three a ball, then fewer, for the time that they take."""
-    return 3 * min(count, 1000) + max(0, min(count, 20_000) - 1000)
+    """Rounds of ruin and recreate: two a ball, then fewer, for the time that they take."""
+    return 2 * min(count, 1000) + max(0, min(count, 20_000) - 1000)
