@@ -59,4 +59,4 @@ class Session:
         object_position_m: np.ndarray | None = None,
         object_rotation_wxyz: np.ndarray | None = None,
     ) -> dict[str, Any]:
-        """One step towards the haptic hand given; the fields of one row of `palmar.records.Run`, and `contacts`, a list of dicts."""
+        """One step towards the haptic hand given: one row of `palmar.records.Run`, `contacts` as a list of dicts."""

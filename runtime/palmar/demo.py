@@ -8,8 +8,8 @@ from typing import Any
 
 from palmar.replay import replay_file
 
-# A body with a flat end and a sharp rim, one with concave lobes, one with two ears for fingers to get caught between. A fingertip
-# hovers or sinks in by as much as the spheres are wrong, so they are held to the limit of hover.
+# A body with a flat end and a sharp rim, one with concave lobes, one with two ears for fingers to get caught between.
+# A fingertip hovers or sinks in by as much as the spheres are wrong, so they are held to the limit of hover.
 OBJECTS = ("cylinder", "shamrock", "ears")
 ERROR_MM = 0.25
 

@@ -15,8 +15,8 @@ struct ReplaySummary {
   std::uint64_t steps = 0;
   std::map<std::uint32_t, std::uint64_t> steps_by_status;
   std::string content_fnv1a64;  // of every pose, force and contact: equal for two replays of one build
-  Loss loss;                          // of the trace
-  bool stopped = false;               // progress said so; nothing was written
+  Loss loss;                    // of the trace
+  bool stopped = false;         // progress said so; nothing was written
 };
 
 // Called about a hundred times; false stops the replay.
