@@ -6,13 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from palmar.tools.solid import Solid, signed_distance
+from palmar.tools.solid import Solid, signed_distance, smooth_normals
 
 Array = NDArray[np.float64]
 
 _QUICK_ROUNDS = 10
 _EXACT_ROUNDS = 4
-_CREASE_DEG = 25.0  # facets that meet at less stand for a smooth surface
 
 
 def medial_balls(
@@ -76,49 +75,6 @@ def merged_indices(balls: Array, budget: float) -> NDArray[np.int64]:
     order = np.lexsort((np.arange(len(balls)), -balls[:, 3]))
     _, first = np.unique(key[order], axis=0, return_index=True)
     return np.sort(order[first])
-
-
-def smooth_normals(solid: Solid, points: Array, face: NDArray[np.int64]) -> Array:
-    """Unit outward normals (n, 3) at points on faces, blended between facets that meet at less than the crease angle.
-
-    A facet of a round body points a little off its axis; a ball 40 mm deep feels that as millimetres.
-    """
-    corners = _corner_normals(solid)[face]
-    a, b, c = (solid.vertices[solid.faces[face, k]] for k in range(3))
-    share = np.stack([_double_area(points, b, c), _double_area(points, c, a), _double_area(points, a, b)], axis=1)
-    blend = np.einsum("nk,nki->ni", share / np.maximum(share.sum(axis=1), 1e-300)[:, None], corners)
-    length = np.linalg.norm(blend, axis=1)
-    return np.where(length[:, None] > 0.1, blend / np.maximum(length, 1e-300)[:, None], solid.normals[face])
-
-
-def _corner_normals(solid: Solid) -> Array:
-    """Normal (f, 3, 3) at each corner of a face: the mean by area of the faces around it within the crease angle."""
-    corner_vertex = solid.faces.ravel()
-    corner_face = np.repeat(np.arange(len(solid.faces)), 3)
-    order = np.argsort(corner_vertex, kind="stable")
-    valence = np.bincount(corner_vertex, minlength=len(solid.vertices))
-    start = np.cumsum(valence) - valence
-    # A fan of hundreds of faces is a cap, flat or sharp: its facets' own normals serve.
-    corner = np.flatnonzero(valence[corner_vertex] <= 64)
-    counts = valence[corner_vertex[corner]]
-    ends = np.cumsum(counts)
-    at = np.repeat(start[corner_vertex[corner]] - (ends - counts), counts) + np.arange(counts.sum())
-    other = corner_face[order[at]]
-    own = np.repeat(corner, counts)
-    like = np.einsum("ij,ij->i", solid.normals[corner_face[own]], solid.normals[other]) > np.cos(
-        np.radians(_CREASE_DEG)
-    )
-    own, other = own[like], other[like]
-    total = solid.normals[corner_face].copy() * 1e-9 * solid.areas.max()
-    for axis in range(3):
-        weight = solid.normals[other, axis] * solid.areas[other]
-        total[:, axis] += np.bincount(own, weight, minlength=len(total))
-    length = np.linalg.norm(total, axis=1)
-    return (total / np.maximum(length, 1e-300)[:, None]).reshape(-1, 3, 3)
-
-
-def _double_area(a: Array, b: Array, c: Array) -> Array:
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def _tangent_radius(point: Array, normal: Array, other: Array, radius: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import igl
 import numpy as np
@@ -12,6 +13,7 @@ from palmar.errors import BadMesh
 
 Array = NDArray[np.float64]
 
+_CREASE_DEG = 25.0  # facets that meet at less stand for a smooth surface
 # R2 sequence (Roberts 2018), the plane's counterpart of the golden ratio: even inside one big triangle.
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])
 
@@ -31,6 +33,11 @@ class Solid:
     def size(self) -> float:
         """Longest side of the bounding box."""
         return float(np.ptp(self.vertices, axis=0).max())
+
+    @cached_property
+    def corner_normals(self) -> Array:
+        """Normals (f, 3, 3) at the corners of the faces, shared where the surface is smooth."""
+        return _corner_normals(self)
 
 
 def make_solid(vertices: Array, faces: NDArray[np.integer]) -> Solid:
@@ -105,6 +112,49 @@ def signed_distance(solid: Solid, points: Array) -> tuple[Array, Array, NDArray[
     if len(unsure):
         outside[unsure] = igl.fast_winding_number(solid.vertices, solid.faces, points[unsure]) < 0.5
     return np.where(outside, distance, -distance), closest, face
+
+
+def smooth_normals(solid: Solid, points: Array, face: NDArray[np.int64]) -> Array:
+    """Unit outward normals (n, 3) at points on faces, blended between facets that meet at less than the crease angle.
+
+    A facet of a round body points a little off its axis; a ball 40 mm deep feels that as millimetres.
+    """
+    corners = solid.corner_normals[face]
+    a, b, c = (solid.vertices[solid.faces[face, k]] for k in range(3))
+    share = np.stack([_double_area(points, b, c), _double_area(points, c, a), _double_area(points, a, b)], axis=1)
+    blend = np.einsum("nk,nki->ni", share / np.maximum(share.sum(axis=1), 1e-300)[:, None], corners)
+    length = np.linalg.norm(blend, axis=1)
+    return np.where(length[:, None] > 0.1, blend / np.maximum(length, 1e-300)[:, None], solid.normals[face])
+
+
+def _corner_normals(solid: Solid) -> Array:
+    """Normal (f, 3, 3) at each corner of a face: the mean by area of the faces around it within the crease angle."""
+    corner_vertex = solid.faces.ravel()
+    corner_face = np.repeat(np.arange(len(solid.faces)), 3)
+    order = np.argsort(corner_vertex, kind="stable")
+    valence = np.bincount(corner_vertex, minlength=len(solid.vertices))
+    start = np.cumsum(valence) - valence
+    # A fan of hundreds of faces is a cap, flat or sharp: its facets' own normals serve.
+    corner = np.flatnonzero(valence[corner_vertex] <= 64)
+    counts = valence[corner_vertex[corner]]
+    ends = np.cumsum(counts)
+    at = np.repeat(start[corner_vertex[corner]] - (ends - counts), counts) + np.arange(counts.sum())
+    other = corner_face[order[at]]
+    own = np.repeat(corner, counts)
+    like = np.einsum("ij,ij->i", solid.normals[corner_face[own]], solid.normals[other]) > np.cos(
+        np.radians(_CREASE_DEG)
+    )
+    own, other = own[like], other[like]
+    total = solid.normals[corner_face].copy() * 1e-9 * solid.areas.max()
+    for axis in range(3):
+        weight = solid.normals[other, axis] * solid.areas[other]
+        total[:, axis] += np.bincount(own, weight, minlength=len(total))
+    length = np.linalg.norm(total, axis=1)
+    return (total / np.maximum(length, 1e-300)[:, None]).reshape(-1, 3, 3)
+
+
+def _double_area(a: Array, b: Array, c: Array) -> Array:
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def _morton_order(points: Array) -> NDArray[np.int64]:

@@ -30,7 +30,7 @@ CAP = 200_000
 UNCOVERED = 0.01  # the share beyond the 99th percentile
 # Finer than this share of the object's size, spheres would copy the facets of a round mesh one by one.
 _FINEST = 1e-4
-_JUDGED = 120_000  # independent samples
+_JUDGED = 80_000  # independent samples
 _ALLOWED = 0.985  # of the error: what the 99th percentile varies by between sets of samples
 _WORST = 1.6  # times G: what even a corner or an edge should not exceed
 _CORNERS = 0.05  # share of a given count that may go to them
@@ -194,9 +194,9 @@ def _refuse_if_short(made: _Candidates, target: float, chosen: list[int], error:
 
 def _make_candidates(solid: Solid, budget: float, count: int, seed: int) -> _Candidates:
     """Candidates and samples in numbers fit for about `count` leaves at G near `budget`."""
-    samples, _ = sample_surface(solid, int(np.clip(80 * count, 10_000, max(120_000, 12 * count))), seed + 1)
+    samples, _ = sample_surface(solid, int(np.clip(80 * count, 6_000, max(120_000, 12 * count))), seed + 1)
     surface = (sample_surface(solid, 2_000, seed + 2)[0], sample_surface(solid, 10_000, seed + 3)[0])
-    points, face = sample_surface(solid, int(np.clip(8 * count, 2_500, max(25_000, 2 * count))), seed + 4)
+    points, face = sample_surface(solid, int(np.clip(8 * count, 1_500, max(25_000, 2 * count))), seed + 4)
     tried = [medial_balls(solid, points, face, slack, budget, surface) for slack in _slacks(solid, budget)]
     balls = np.concatenate(tried)
     if not len(balls):

@@ -1,0 +1,143 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from palmar.errors import BadMesh
+from palmar.tools.cover import level_errors, union_gap
+from palmar.tools.shapes import SHAPES
+from palmar.tools.sphere_tree import build_levels, levels_over
+
+SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+
+
+def assert_parents_contain_children(levels, parents):
+    assert len(levels[0]) == 1 and parents[0].tolist() == [-1]
+    for k in range(1, len(levels)):
+        assert set(parents[k].tolist()) == set(range(len(levels[k - 1])))
+        assert np.bincount(parents[k]).max() <= 8
+        for kind in (np.float64, np.float32):
+            child, parent = levels[k].astype(kind), levels[k - 1].astype(kind)[parents[k]]
+            reach = np.linalg.norm(child[:, :3] - parent[:, :3], axis=1) + child[:, 3]
+            assert (reach <= parent[:, 3]).all()
+
+
+@pytest.fixture(scope="module")
+def ears():
+    """A tree within 1 mm and one of 60 leaves, of a concave body."""
+    mesh = SHAPES["ears"]()
+    within = build_levels(*mesh, error_m=1e-3, spheres=None)
+    counted = build_levels(*mesh, error_m=None, spheres=60)
+    return mesh, within, counted
+
+
+@pytest.mark.parametrize("count", [1, 2, 8, 9, 65, 700])
+def test_parents_contain_children_above_any_leaves(count):
+    rng = np.random.default_rng(count)
+    leaves = np.column_stack([rng.normal(size=(count, 3)), rng.uniform(1e-4, 0.5, count)])
+    levels, parents = levels_over(leaves)
+    assert levels[-1].tobytes() == leaves.tobytes()
+    assert_parents_contain_children(levels, parents)
+
+
+def test_parents_contain_equal_and_nested_leaves():
+    leaves = np.array([[0.1, 0.2, 0.3, 0.05]] * 20 + [[0.1, 0.2, 0.31, 0.01]] * 5)
+    levels, parents = levels_over(leaves)
+    assert_parents_contain_children(levels, parents)
+    assert levels[0][0, 3] < 0.0501  # nothing sticks out of the largest leaf
+
+
+def test_bounding_sphere_of_two_balls_spans_them():
+    levels, _ = levels_over(np.array([[0, 0, 0, 0.01], [0.1, 0, 0, 0.02]]))
+    # From -0.01 to 0.12; 1 % is what the iteration leaves.
+    assert levels[0][0] == pytest.approx([0.055, 0, 0, 0.065], abs=6.5e-4)
+
+
+def test_built_trees_contain_and_keep_siblings_together(ears):
+    for levels, parents, _ in ears[1:]:
+        assert_parents_contain_children(levels, parents)
+        assert (np.diff(parents[-1]) >= 0).all()
+
+
+def test_error_holds_on_samples_of_another_seed(ears):
+    mesh, (levels, _, parameters), _ = ears
+    leaves = level_errors(levels, *mesh, seed=77)[-1]
+    assert leaves["gap_mm"]["p99"] <= 1.0
+    # The bound holds everywhere, not only at the samples; 1e-9 mm of rounding.
+    assert leaves["protrusion_mm"]["max"] <= parameters["protrusion_bound_mm"] + 1e-9
+    assert parameters["protrusion_bound_mm"] <= 1.0
+    assert leaves["gap_mm"]["max"] <= 3.0  # corners: 1.6 x 2 - 1, in units of the error, and some sampling
+    assert leaves["spheres"] < 60  # what the count costs at most for 1 mm on this body
+
+
+def test_count_is_kept_and_error_is_shared_evenly(ears):
+    mesh, _, (levels, _, _) = ears
+    assert 54 <= len(levels[-1]) <= 60
+    leaves = level_errors(levels, *mesh, seed=78)[-1]
+    assert leaves["gap_mm"]["p99"] == pytest.approx(leaves["protrusion_mm"]["p99"], rel=0.2)
+    assert leaves["gap_mm"]["p99"] < 1.0
+
+
+def test_same_seed_same_bytes(ears):
+    mesh, _, (levels, parents, parameters) = ears
+    again = build_levels(*mesh, error_m=None, spheres=60)
+    assert [level.tobytes() for level in again[0]] == [level.tobytes() for level in levels]
+    assert [parent.tobytes() for parent in again[1]] == [parent.tobytes() for parent in parents]
+    assert again[2] == parameters
+
+
+def test_sphere_becomes_one_ball():
+    mesh = SHAPES["sphere"]()
+    levels, parents, _ = build_levels(*mesh, error_m=1e-4, spheres=None)
+    assert [len(level) for level in levels] == [1]
+    assert parents[0].tolist() == [-1]
+    assert levels[0][0] == pytest.approx([0, 0, 0, 0.04], abs=2e-5)  # metres; its facets
+
+
+def test_cup_stays_hollow():
+    levels, _, _ = build_levels(*SHAPES["cup"](), error_m=2.5e-3, spheres=None)
+    axis = np.column_stack([np.full(30, -0.012), np.zeros(30), np.linspace(-0.034, 0.04, 30)])
+    # The axis, at x = -12 mm, is 32.5 mm from the wall and 1 mm and more above the floor; balls protrude by 2.5 mm.
+    free = np.minimum(0.0325 * np.cos(np.pi / 96), axis[:, 2] + 0.035)
+    assert (union_gap(levels[-1], axis) >= free - 2.5e-3 - 1e-9).all()
+
+
+def test_one_ball_is_a_tree():
+    levels, _, _ = build_levels(*SHAPES["cube"](), error_m=None, spheres=1)
+    assert [len(level) for level in levels] == [1]
+    # Half of the corner's gap at least, and never past the corner.
+    assert 0.035 < levels[0][0, 3] < 0.035 * np.sqrt(3)
+
+
+def test_progress_ends_at_one():
+    told = []
+    build_levels(
+        *SHAPES["cylinder"](), error_m=3e-3, spheres=None, progress=lambda text, part: told.append((text, part))
+    )
+    parts = [part for _, part in told]
+    assert parts == sorted(parts) and parts[-1] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("wanted", "words"),
+    [
+        ({"error_m": 1e-7, "spheres": None}, "ask for a larger error"),
+        ({"error_m": 0.0, "spheres": None}, "above 0"),
+        ({"error_m": None, "spheres": 0}, "1 to 200000"),
+    ],
+)
+def test_what_cannot_be_built_is_refused(wanted, words):
+    with pytest.raises(BadMesh, match=words):
+        build_levels(*SHAPES["cube"](), **wanted)
+
+
+@pytest.mark.skipif(not (SHARED / "spheres_objects").is_dir(), reason="the shared objects are not on this machine")
+def test_plate_of_1_mm_and_two_bodies_stay_within_the_error():
+    trimesh = pytest.importorskip("trimesh")
+    for name, error in (("twobody", 5e-4), ("plate", 3e-3)):
+        mesh = trimesh.load(SHARED / "spheres_objects" / f"{name}.obj", process=False)
+        vertices, faces = np.asarray(mesh.vertices) * 1e-3, np.asarray(mesh.faces)
+        levels, _, _ = build_levels(vertices, faces, error_m=error, spheres=None)
+        leaves = level_errors(levels, vertices, faces, seed=5)[-1]
+        assert leaves["gap_mm"]["p99"] <= error * 1e3
+        assert leaves["protrusion_mm"]["max"] <= error * 1e3 + 1e-9
