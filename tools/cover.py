@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -168,7 +169,7 @@ def _pairs(tree: cKDTree, spheres: Array, reach: float) -> tuple[NDArray[np.int6
     counts = np.array([len(part) for part in found])
     if not counts.sum():
         return np.empty(0, np.int64), np.empty(0)
-    point = np.concatenate([np.asarray(part, dtype=np.int64) for part in found if part])
+    point = np.fromiter(chain.from_iterable(found), dtype=np.int64, count=int(counts.sum()))
     sphere = np.repeat(np.arange(len(spheres)), counts)
     return point, np.linalg.norm(tree.data[point] - spheres[sphere, :3], axis=1) - spheres[sphere, 3]
 

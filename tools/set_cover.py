@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ def find_incidence(balls: Array, points: Array, budget: float) -> Incidence:
     """Pairs with gap = |point - centre| - inside distance at most the budget. balls (n, 4), points (m, 3)."""
     found = cKDTree(points).query_ball_point(balls[:, :3], balls[:, 3] + budget)
     counts = np.array([len(part) for part in found], dtype=np.int64)
-    sample = np.concatenate([np.asarray(part, dtype=np.int32) for part in found])
+    sample = np.fromiter(chain.from_iterable(found), dtype=np.int32, count=int(counts.sum()))
     owner = np.repeat(np.arange(len(balls), dtype=np.int32), counts)
     gap = np.linalg.norm(points[sample] - balls[owner, :3], axis=1) - balls[owner, 3]
     return _index(owner, sample, gap.astype(np.float32), len(balls), len(points))
@@ -106,6 +107,7 @@ def ruin_and_recreate(
     inside[chosen] = True
     scratch = _Scratch(np.zeros(pairs.samples, dtype=bool), np.zeros(len(inside), dtype=np.int32))
     now = list(chosen)
+    place = {k: at for at, k in enumerate(now)}
     uncovered = int((count == 0).sum())
     spare = max(spare, uncovered)
     for _ in range(rounds):
@@ -122,8 +124,12 @@ def ruin_and_recreate(
         np.add.at(count, _gather(pairs.start, pairs.sample, fresh), 1)
         inside[ruined] = False
         inside[fresh] = True
-        gone = set(ruined.tolist())
-        now = [k for k in now if k not in gone] + fresh.tolist()
+        for k in ruined.tolist():
+            last = now.pop()
+            if last != k:
+                now[place[k]], place[last] = last, place[k]
+        place.update(zip(fresh.tolist(), range(len(now), len(now) + len(fresh)), strict=True))
+        now += fresh.tolist()
         uncovered += left
     return now
 

@@ -95,11 +95,11 @@ def test_sphere_becomes_one_ball():
 
 
 def test_cup_stays_hollow():
-    levels, _, _ = build_levels(*SHAPES["cup"](), error_m=2.5e-3, spheres=None)
+    levels, _, _ = build_levels(*SHAPES["cup"](), error_m=3e-3, spheres=None)
     axis = np.column_stack([np.full(30, -0.012), np.zeros(30), np.linspace(-0.034, 0.04, 30)])
-    # The axis, at x = -12 mm, is 32.5 mm from the wall and 1 mm and more above the floor; balls protrude by 2.5 mm.
+    # The axis, at x = -12 mm, is 32.5 mm from the wall and 1 mm and more above the floor; balls protrude by 3 mm.
     free = np.minimum(0.0325 * np.cos(np.pi / 96), axis[:, 2] + 0.035)
-    assert (union_gap(levels[-1], axis) >= free - 2.5e-3 - 1e-9).all()
+    assert (union_gap(levels[-1], axis) >= free - 3e-3 - 1e-9).all()
 
 
 def test_one_ball_is_a_tree():
@@ -134,7 +134,7 @@ def test_what_cannot_be_built_is_refused(wanted, words):
 @pytest.mark.skipif(not (SHARED / "spheres_objects").is_dir(), reason="the shared objects are not on this machine")
 def test_plate_of_1_mm_and_two_bodies_stay_within_the_error():
     trimesh = pytest.importorskip("trimesh")
-    for name, error in (("twobody", 5e-4), ("plate", 3e-3)):
+    for name, error in (("twobody", 5e-4), ("plate", 5e-3)):
         mesh = trimesh.load(SHARED / "spheres_objects" / f"{name}.obj", process=False)
         vertices, faces = np.asarray(mesh.vertices) * 1e-3, np.asarray(mesh.faces)
         levels, _, _ = build_levels(vertices, faces, error_m=error, spheres=None)
