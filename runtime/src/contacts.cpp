@@ -14,6 +14,25 @@ std::vector<Sphere> palm_spheres(const HandModel& hand) {
   return spheres;
 }
 
+// The palm's pairs, one sphere of the palm after the other: slower, but what a dense object has near one sphere fits.
+bool gather_each_palm_sphere(const HandModel& hand, const CollisionObject& object, const HandPlacement& at,
+                             double margin, Candidates& out, std::uint32_t& visited) {
+  for (std::size_t k = 0; k < hand.palm.size(); ++k) {
+    const PalmSphere& mine = hand.palm[k];
+    const Vec3 center = at.rotation * mine.center + at.position;
+    const int count =
+        object.tree.find(ball_query(center, mine.radius, margin), out.found.data(), kFoundCapacity, visited);
+    if (count > kFoundCapacity) return false;
+    for (int i = 0; i < count; ++i) {
+      const Sphere& sphere = object.leaves[out.found[i]];
+      if ((center - sphere.center).norm() - mine.radius - sphere.radius > margin) continue;
+      if (out.count == int(out.pairs.size())) return false;
+      out.pairs[out.count++] = {sphere.center, sphere.radius, out.found[i], std::uint32_t(k)};
+    }
+  }
+  return true;
+}
+
 }  // namespace
 
 Candidates::Candidates(int capacity) : pairs(capacity), found(kFoundCapacity) {}
@@ -36,15 +55,19 @@ bool gather_candidates(const HandModel& hand, const PalmTree& palm, const Collis
   for (int i = 0; i < 3; ++i)
     for (int k = 0; k < 3; ++k) box.m[3 * i + k] = float(at.rotation(k, i));
   box.hx = float(half.x()), box.hy = float(half.y()), box.hz = float(half.z());
-  box.radius = float(hand.palm_radius_max + margin);
-  const int near_palm = object.tree.find(box, out.found.data(), kFoundCapacity / 2, visited);
-  if (near_palm > kFoundCapacity / 2) return false;
+  box.radius = float(hand.palm_radius_max + margin + query_rounding(middle, half.norm() + hand.palm_radius_max));
+  int near_palm = object.tree.find(box, out.found.data(), kFoundCapacity / 2, visited);
+  if (near_palm > kFoundCapacity / 2) {
+    if (!gather_each_palm_sphere(hand, object, at, margin, out, visited)) return false;
+    near_palm = 0;
+  }
   std::uint32_t* const touched = out.found.data() + kFoundCapacity / 2;
   for (int i = 0; i < near_palm; ++i) {
     const Sphere& sphere = object.leaves[out.found[i]];
     const Vec3 in_palm = at.rotation.transpose() * (sphere.center - at.position);
     const int count = palm.tree.find(ball_query(in_palm, sphere.radius, margin + object.tree.slack()), touched,
                                      kFoundCapacity / 2, visited);
+    if (count > kFoundCapacity / 2) return false;
     for (int k = 0; k < count; ++k) {
       const PalmSphere& mine = hand.palm[touched[k]];
       if ((mine.center - in_palm).norm() - mine.radius - sphere.radius > margin) continue;

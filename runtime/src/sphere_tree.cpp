@@ -67,14 +67,30 @@ Sphere bound_of(const Sphere* spheres, int count) {
 
 }  // namespace
 
+double query_rounding(const Vec3& center, double size) {
+  return 16.0 * std::numeric_limits<float>::epsilon() * (center.cwiseAbs().maxCoeff() + size);
+}
+
 SphereQuery capsule_query(const Vec3& c1, const Vec3& c2, double r1, double r2, double margin) {
   const Vec3 along = c2 - c1;
   const double length = along.norm();
   const Vec3 u = length > 0 ? Vec3(along / length) : Vec3(1, 0, 0);
   const double sin_phi = length > 0 ? (r1 - r2) / length : 0.0;
   const double tan_phi = sin_phi / std::sqrt(std::max(1e-12, 1.0 - sin_phi * sin_phi));
-  return {float(c1.x()), float(c1.y()), float(c1.z()),  float(u.x()),   float(u.y()), float(u.z()),
-          float(length), float(r1),     float(sin_phi), float(tan_phi), float(margin)};
+  // The distance off the axis, the root of a difference of squares, keeps fewer digits the thinner the capsule is.
+  const double thin = std::max(std::min(r1, r2), 1e-3 * length);
+  const double size = length + std::max(r1, r2) + (length > 0 ? length * length / thin : 0.0);
+  return {float(c1.x()),
+          float(c1.y()),
+          float(c1.z()),
+          float(u.x()),
+          float(u.y()),
+          float(u.z()),
+          float(length),
+          float(r1),
+          float(sin_phi),
+          float(tan_phi),
+          float(margin + query_rounding(c1, size))};
 }
 
 SphereQuery ball_query(const Vec3& center, double radius, double margin) {

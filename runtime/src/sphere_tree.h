@@ -40,6 +40,10 @@ struct BoxQuery {
 SphereQuery capsule_query(const Vec3& c1, const Vec3& c2, double r1, double r2, double margin);
 SphereQuery ball_query(const Vec3& center, double radius, double margin);
 
+// What float rounding may hide from a query of this size about this point: a tree's own slack knows only the tree's
+// size, and the hand is larger than a small object. Already in the margin of capsule_query and ball_query.
+double query_rounding(const Vec3& center, double size);
+
 class WideTree {
  public:
   WideTree() = default;

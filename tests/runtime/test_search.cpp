@@ -6,7 +6,8 @@
 
 using namespace palmar;
 
-// The tree gives every sphere within the margin: against all spheres, one by one, for capsules, and for whole hands.
+// The tree gives every sphere within the margin: against all spheres, one by
+// one, for capsules, and for whole hands.
 int main() {
   std::mt19937 rng(3);
   std::uniform_real_distribution<double> u(-1, 1);
@@ -31,6 +32,34 @@ int main() {
     }
     CHECK(tree.find(ball_query(Vec3(0, 0, 0), 1.0, 0.0), found.data(), count, visited) == count);
     if (count > 1) CHECK(tree.find(ball_query(Vec3(0, 0, 0), 1.0, 0.0), found.data(), count - 1, visited) == count);
+  }
+
+  // An object far smaller than what searches for it: a few grains of a
+  // micrometre, touched within a nanometre.
+  {
+    std::vector<Sphere> grains;
+    for (int i = 0; i < 40; ++i) grains.push_back({2e-4 * Vec3(u(rng), u(rng), u(rng)), 1e-6});
+    const WideTree tree(grains);
+    std::vector<std::uint32_t> found(grains.size());
+    std::uint32_t visited = 0;
+    int missed = 0, near = 0;
+    for (int trial = 0; trial < 5000; ++trial) {
+      const Vec3 along = Vec3(u(rng), u(rng), u(rng)).normalized();
+      const Sphere& grain = grains[trial % grains.size()];
+      Capsule c{Vec3(0, 0, 0), 0.045 * along, 0.009, 0.007};
+      // Moved so that this grain lies at its side, just outside.
+      const Vec3 side = along.unitOrthogonal();
+      const Vec3 shift = grain.center - 0.045 * size(rng) * along - 0.0085 * side;
+      c.c1 += shift, c.c2 += shift;
+      const CapsuleGap gap = capsule_sphere_gap(c, grain.center, grain.radius);
+      c.c1 += (1e-9 - gap.gap) * gap.normal, c.c2 += (1e-9 - gap.gap) * gap.normal;
+      const int n = tree.find(capsule_query(c.c1, c.c2, c.r1, c.r2, 2e-9), found.data(), int(found.size()), visited);
+      const std::set<std::uint32_t> set(found.begin(), found.begin() + n);
+      for (std::uint32_t i = 0; i < grains.size(); ++i)
+        if (capsule_sphere_gap(c, grains[i].center, grains[i].radius).gap <= 2e-9) ++near, missed += !set.contains(i);
+    }
+    CHECK(near >= 5000);
+    CHECK(missed == 0);
   }
 
   const HandModel hand = made::hand();
@@ -63,5 +92,17 @@ int main() {
     }
   }
   CHECK(pairs > 1000);
+
+  // A palm of more spheres than one search may find is refused, not read past
+  // the end.
+  {
+    HandModel many = made::hand();
+    for (int i = 0; i < 5000; ++i) many.palm.push_back({1e-6 * Vec3(u(rng), u(rng), u(rng)), 0.011});
+    many.finish();
+    Candidates room(20000);
+    std::uint32_t visited = 0;
+    CHECK(!gather_candidates(many, PalmTree(many), CollisionObject({{Vec3(0, 0, 0.0115), 0.001}}),
+                             place_hand(many, Configuration{}), 0.001, room, visited));
+  }
   return finish();
 }
