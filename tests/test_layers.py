@@ -18,6 +18,7 @@ LAYERS = [
     "contacts trace_file run_file",
     "force",
     "solver",
+    "baseline",
     "solve_.*",
     "settings session",
     "replay",

@@ -1,5 +1,6 @@
 #include "contacts.h"
 
+#include <algorithm>
 #include <limits>
 
 namespace palmar {
@@ -33,21 +34,10 @@ bool gather_each_palm_sphere(const HandModel& hand, const CollisionObject& objec
   return true;
 }
 
-}  // namespace
-
-Candidates::Candidates(int capacity) : pairs(capacity), found(kFoundCapacity) {}
-
-PalmTree::PalmTree(const HandModel& hand) : tree(palm_spheres(hand)) {}
-
-bool gather_candidates(const HandModel& hand, const PalmTree& palm, const CollisionObject& object,
-                       const HandPlacement& at, double margin, Candidates& out, std::uint32_t& visited) {
+// Object spheres near the palm's box, then each against the palm's own tree, in the palm's frame.
+bool gather_palm(const HandModel& hand, const PalmTree& palm, const CollisionObject& object, const HandPlacement& at,
+                 double margin, Candidates& out, std::uint32_t& visited) {
   const int capacity = int(out.pairs.size());
-  out.from = at;
-  out.margin = margin;
-  out.count = 0;
-  out.link_start.fill(0);
-
-  // Palm: object spheres near its box, then each against the palm's own tree, in the palm's frame.
   const Vec3 half = 0.5 * (hand.palm_high - hand.palm_low);
   const Vec3 middle = at.rotation * (0.5 * (hand.palm_low + hand.palm_high)) + at.position;
   BoxQuery box;
@@ -75,9 +65,27 @@ bool gather_candidates(const HandModel& hand, const PalmTree& palm, const Collis
       out.pairs[out.count++] = {sphere.center, sphere.radius, out.found[i], touched[k]};
     }
   }
-  out.link_start[1] = out.count;
+  return true;
+}
 
-  for (int link = 1; link < kLinks; ++link) {
+}  // namespace
+
+Candidates::Candidates(int capacity) : pairs(capacity), found(kFoundCapacity) {}
+
+PalmTree::PalmTree(const HandModel& hand) : tree(palm_spheres(hand)) {}
+
+bool gather_candidates(const HandModel& hand, const PalmTree& palm, const CollisionObject& object,
+                       const HandPlacement& at, double margin, Candidates& out, std::uint32_t& visited, int first_link,
+                       int end_link) {
+  const int capacity = int(out.pairs.size());
+  out.from = at;
+  out.margin = margin;
+  out.count = first_link == 0 ? 0 : out.link_start[first_link];
+  out.link_start[0] = 0;
+  if (first_link == 0 && !gather_palm(hand, palm, object, at, margin, out, visited)) return false;
+  std::fill(out.link_start.begin() + std::max(1, first_link), out.link_start.end(), out.count);
+
+  for (int link = std::max(1, first_link); link < end_link; ++link) {
     const Capsule& c = at.phalanx[link - 1];
     const int count =
         object.tree.find(capsule_query(c.c1, c.c2, c.r1, c.r2, margin), out.found.data(), kFoundCapacity, visited);
@@ -89,6 +97,7 @@ bool gather_candidates(const HandModel& hand, const PalmTree& palm, const Collis
     }
     out.link_start[link + 1] = out.count;
   }
+  std::fill(out.link_start.begin() + end_link, out.link_start.end(), out.count);
   return true;
 }
 

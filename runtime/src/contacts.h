@@ -37,9 +37,11 @@ struct PalmTree {
   WideTree tree;
 };
 
-// Fills `out` with the pairs within `margin` of the placement. False when they do not fit.
+// Fills `out` with the pairs within `margin` of the placement. False when they do not fit. Links before first_link keep
+// the pairs that they have, links from end_link on get none.
 bool gather_candidates(const HandModel& hand, const PalmTree& palm, const CollisionObject& object,
-                       const HandPlacement& at, double margin, Candidates& out, std::uint32_t& visited);
+                       const HandPlacement& at, double margin, Candidates& out, std::uint32_t& visited,
+                       int first_link = 0, int end_link = kLinks);
 
 // Exact gaps of all candidates at a placement, into `gap` (count long). Returns the smallest (+infinity for none).
 double evaluate_gaps(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, double* gap);

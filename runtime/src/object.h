@@ -12,6 +12,7 @@ struct CollisionObject {
   WideTree tree;
   Vec3 center{0, 0, 0};  // of a ball around all leaves
   double radius = 0;
+  double leaf_radius_max = 0;
 
   explicit CollisionObject(std::vector<Sphere> spheres) : leaves(std::move(spheres)), tree(leaves) {
     Vec3 low = leaves.front().center, high = low;
@@ -20,7 +21,10 @@ struct CollisionObject {
       high = high.cwiseMax(s.center);
     }
     center = 0.5 * (low + high);
-    for (const Sphere& s : leaves) radius = std::max(radius, (s.center - center).norm() + s.radius);
+    for (const Sphere& s : leaves) {
+      radius = std::max(radius, (s.center - center).norm() + s.radius);
+      leaf_radius_max = std::max(leaf_radius_max, s.radius);
+    }
   }
 };
 

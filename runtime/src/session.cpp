@@ -228,6 +228,7 @@ std::uint64_t Session::hash_state() const {
   mix(hash, felt_.joint_torque.data(), sizeof felt_.joint_torque);
   for (const Vec3& tip : felt_.fingertip) mix(hash, tip.data(), 24);
   mix(hash, &state_.reach, sizeof state_.reach);
+  mix(hash, state_.velocity.data(), sizeof state_.velocity);
   mix(hash, state_.haptic.abduction.data(), sizeof state_.haptic.abduction);
   mix(hash, state_.haptic.flexion.data(), sizeof state_.haptic.flexion);
   return hash;

@@ -39,6 +39,7 @@ struct SolverState {
   HandPlacement placement;  // of graphic
   Configuration haptic;     // of the step before
   double reach = 2e-3;
+  Change velocity{};  // of graphic, where a solver integrates over time
   bool started = false;
 };
 
@@ -71,6 +72,11 @@ struct Scene {
 using SolveFunction = std::uint32_t (*)(const Scene&, const Configuration& haptic, SolverState&, Workspace&);
 
 std::uint32_t solve_progressive(const Scene& scene, const Configuration& haptic, SolverState& state, Workspace& work);
+std::uint32_t solve_paper(const Scene& scene, const Configuration& haptic, SolverState& state, Workspace& work);
+std::uint32_t solve_monolithic(const Scene& scene, const Configuration& haptic, SolverState& state, Workspace& work);
+std::uint32_t solve_aggregate(const Scene& scene, const Configuration& haptic, SolverState& state, Workspace& work);
+std::uint32_t solve_god_object(const Scene& scene, const Configuration& haptic, SolverState& state, Workspace& work);
+std::uint32_t solve_penalty(const Scene& scene, const Configuration& haptic, SolverState& state, Workspace& work);
 
 struct SolverRow {
   const char* name;
@@ -80,6 +86,11 @@ struct SolverRow {
 
 inline constexpr SolverRow SOLVERS[] = {
     {"progressive", solve_progressive, "palm first, then fingers; every published pose verified"},
+    {"paper", solve_paper, "the published method: palm, then fingers, one linearisation each"},
+    {"monolithic", solve_monolithic, "one programme over palm and fingers, one linearisation"},
+    {"aggregate", solve_aggregate, "monolithic, the contacts of each region of a link merged into one"},
+    {"god_object", solve_god_object, "constrained motion up to the next contact, repeated"},
+    {"penalty", solve_penalty, "hand on spring-dampers, contacts as springs, integrated over time"},
 };
 
 }  // namespace palmar
