@@ -250,7 +250,13 @@ bool gather(const Scene& scene, SolverState& state, Workspace& work, double marg
     fits = gather_candidates(scene.hand, scene.palm, scene.object, state.placement, margin, work.candidates, visited);
     if (!fits) margin *= 0.25;
   }
-  if (fits) evaluate_gaps(scene.hand, work.candidates, state.placement, work.gap.data());
+  work.active_count = 0;  // its numbers are places in the list that was
+  if (fits) {
+    evaluate_gaps(scene.hand, work.candidates, state.placement, work.gap.data());
+  } else {
+    work.candidates.count = 0;                   // what was found has no gaps
+    state.reach = scene.settings.reach_least_m;  // the next step starts from a smaller margin
+  }
   work.operations += visited + work.candidates.count;
   work.search_us += microseconds_since(start);
   return fits;

@@ -177,6 +177,41 @@ int main() {
     }
   }
 
+  // Programmes that end too early leave nothing behind: neither numbers of an old list of candidates, nor a pose
+  // inside.
+  for (int limit : {2, 12}) {
+    Settings settings;
+    settings.qp_iterations = limit;
+    settings.iterations = 8;
+    for (unsigned seed = 8; seed < 12; ++seed) {
+      Session session(hand, objects[2], settings);
+      double deepest = 0;
+      for (const Sample& s : wild_motion(seed, 1500))
+        deepest = std::max(deepest, -brute_gap(hand, objects[2], session.step(s).graphic));
+      CHECK(deepest <= 1e-12);
+    }
+  }
+
+  // The flat of the palm onto a plate of many small spheres, slowly and fast: it stops there, and comes off again.
+  {
+    const std::vector<Sphere> dense = made::plate(400, 0.00025, 0.0003);
+    for (const double way : {0.001, 0.02, 0.05}) {
+      Session session(hand, dense, Settings{});
+      Sample s;
+      s.pose.palm.rotation_wxyz = {0, 0, 1, 0};  // the thumb away from the plate
+      const auto go = [&](double z) {
+        s.pose.palm.position_m = {0, -0.05, z};
+        return session.step(s).graphic.palm.position_m[2];
+      };
+      for (double z = 0.5; z > -0.4; z -= way) go(z);
+      double stopped = 0, off = 0;
+      for (int i = 0; i < 100; ++i) stopped = go(-0.4);
+      CHECK_NEAR(stopped, 0.0113, 5e-5);  // metres: palm radius and plate radius, less where spheres part
+      for (int i = 0; i < 100; ++i) off = go(0.002 * i);
+      CHECK_NEAR(off, 0.198, 1e-3);
+    }
+  }
+
   // Before the first sample that can be used there is no pose and no force, and no number that is not one.
   {
     Session session(hand, objects[0], Settings{});
