@@ -19,6 +19,7 @@ constexpr std::uint64_t kFileLimit = 512ull << 20;
 constexpr std::uint64_t kHeaderLimit = 16ull << 20;
 constexpr std::size_t kSphereLimit = 4'000'000;
 constexpr std::size_t kPalmLimit = 100'000;
+constexpr double kLargest = 1e6;  // of any number: squares and floats of it are still far from overflow
 
 struct Tensor {
   std::string dtype;
@@ -60,6 +61,7 @@ File open_file(const std::string& path) {
   const Json header = Json::parse(text, data, nullptr, false);
   if (!header.is_object()) fail("E-PACK-FORMAT", path, "its header is not a JSON object");
 
+  std::uint64_t taken = 0;
   for (const auto& [name, entry] : header.items()) {
     if (name == "__metadata__") {
       const auto found = entry.find("palmar");
@@ -91,11 +93,15 @@ File open_file(const std::string& path) {
     if (width == 0) fail("E-PACK-SHAPE", path + ":" + name, tensor.dtype + "; F64 or I32 is needed");
     if (begin > end || end > data_size || end - begin != count * width)
       fail("E-PACK-FORMAT", path + ":" + name, "its bytes lie outside the file or do not fit its shape");
+    // Tensors do not overlap: else a small file could ask for any amount of memory.
+    taken += end - begin;
+    if (taken > data_size) fail("E-PACK-FORMAT", path + ":" + name, "its bytes are another tensor's");
     tensor.bytes = data + begin;
     file.tensors.emplace(name, tensor);
   }
   if (!file.manifest.is_object()) fail("E-PACK-FORMAT", path, "no manifest under the metadata key `palmar`");
-  const std::string schema = file.manifest.value("schema", std::string());
+  const auto named = file.manifest.find("schema");
+  const std::string schema = named != file.manifest.end() && named->is_string() ? named->get<std::string>() : "";
   if (schema != "palmar.pack/1")
     fail("E-PACK-VERSION", path, "schema '" + schema + "'; this version reads 'palmar.pack/1'");
   return file;
@@ -118,8 +124,9 @@ std::vector<double> read_numbers(const File& file, const std::string& name, cons
   std::vector<double> numbers(tensor.size());
   std::memcpy(numbers.data(), tensor.bytes, 8 * numbers.size());
   for (std::size_t i = 0; i < numbers.size(); ++i)
-    if (!std::isfinite(numbers[i]))
-      fail("E-PACK-VALUE", file.path + ":" + name + "[" + std::to_string(i) + "]", "not a finite number");
+    if (!(std::abs(numbers[i]) <= kLargest))
+      fail("E-PACK-VALUE", file.path + ":" + name + "[" + std::to_string(i) + "]",
+           "not a finite number, or above 1e6 in size");
   return numbers;
 }
 
@@ -174,6 +181,8 @@ HandModel read_hand(const File& file) {
       if (!(r1 > 0 && r2 > 0 && (e - d).norm() > 0))
         fail("E-PACK-VALUE", file.path + ":hand/phalanx_m", "radii and lengths are above 0");
       finger.phalanx[j] = capsule_of_frustum(d, e, r1, r2);
+      if (!(finger.phalanx[j].r1 <= kLargest && finger.phalanx[j].r2 <= kLargest))
+        fail("E-PACK-VALUE", file.path + ":hand/phalanx_radius_m", "a radius changes too much over its length");
       finger.flexion_limit[j] = check_limit({flexion_limit[2 * i], flexion_limit[2 * i + 1]}, "hand/flexion_limit_rad");
       finger.stiffness[j] = stiffness[i];
       if (!(stiffness[i] > 0))

@@ -24,6 +24,11 @@ bool finite_unit(const std::array<double, 4>& q) {
   return std::abs(n - 1.0) < 1e-2;
 }
 
+// Finite, and within a kilometre: from farther off rounding alone could hold the hand for good.
+bool usable_place(const std::array<double, 3>& p) {
+  return std::abs(p[0]) <= 1e3 && std::abs(p[1]) <= 1e3 && std::abs(p[2]) <= 1e3;
+}
+
 // FNV-1a over raw bytes.
 void mix(std::uint64_t& hash, const void* bytes, std::size_t size) {
   const unsigned char* b = static_cast<const unsigned char*>(bytes);
@@ -61,9 +66,9 @@ Session::Session(HandModel hand, std::vector<Sphere> object, Settings settings)
 }
 
 bool Session::usable(const Sample& s) const {
-  return s.tracked && std::isfinite(s.time_s) && finite(s.pose.palm.position_m.data(), 3) &&
+  return s.tracked && std::isfinite(s.time_s) && usable_place(s.pose.palm.position_m) &&
          finite_unit(s.pose.palm.rotation_wxyz) && finite(s.pose.flexion_rad.data(), 15) &&
-         finite(s.pose.abduction_rad.data(), 5) && finite(s.object.position_m.data(), 3) &&
+         finite(s.pose.abduction_rad.data(), 5) && usable_place(s.object.position_m) &&
          finite_unit(s.object.rotation_wxyz);
 }
 

@@ -15,8 +15,8 @@ class Session {
   Session(HandModel hand, std::vector<Sphere> object, Settings settings);
 
   // One step towards a sample of the haptic hand. Never throws, allocates, locks, or calls the system. A sample that is
-  // not tracked or not finite leaves the hand where it is, and the status says so. The reference is valid until the
-  // next step.
+  // not tracked, not finite or over 1 km away leaves the hand where it is, and the status says so. The reference is
+  // valid until the next step.
   const StepResult& step(const Sample& sample);
 
   std::span<const Contact> contacts() const { return {contacts_.data(), std::size_t(result_.contacts)}; }

@@ -88,6 +88,9 @@ Settings parse_settings(const std::string& json) {
     else
       settings.*std::get<double Settings::*>(found->member) = number;
   }
+  if (settings.reach_least_m > std::min(settings.reach_most_m, settings.free_reach_m))
+    throw Error("E-CONF-VALUE", "reach_least_m",
+                nlohmann::json(settings.reach_least_m).dump() + "; at most reach_most_m and free_reach_m");
   return settings;
 }
 

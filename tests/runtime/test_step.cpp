@@ -228,12 +228,13 @@ int main() {
     const std::vector<Sample> motion = wild_motion(41, 300);
     for (const Sample& s : motion) session.step(s);
     const HandPose before = session.step(motion.back()).graphic;
-    for (int fault = 0; fault < 5; ++fault) {
+    for (int fault = 0; fault < 6; ++fault) {
       Sample bad = motion[0];
       if (fault == 0) bad.pose.flexion_rad[3] = std::nan("");
       if (fault == 1) bad.pose.palm.position_m[0] = INFINITY;
       if (fault == 2) bad.tracked = false;
       if (fault == 3) bad.pose.palm.rotation_wxyz = {0, 0, 0, 0};
+      if (fault == 5) bad.pose.palm.position_m[2] = 1e300;
       if (fault == 4) bad.object.position_m[1] = std::nan("");
       const StepResult& r = session.step(bad);
       CHECK(r.status & kBadSample);
