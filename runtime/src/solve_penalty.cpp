@@ -22,8 +22,8 @@ namespace palmar {
 namespace {
 
 constexpr int kSubSteps = 10;
-constexpr double kFrequency = 1000;        // rad / s
-constexpr double kContactStiffness = 1e5;  // N / m, of one pair
+constexpr double kFrequency = 300;         // rad / s
+constexpr double kContactStiffness = 1e6;  // N / m, of one pair
 constexpr double kContactDamping = 10;     // N s / m
 constexpr double kMargin = 1e-3;           // metres, of the search
 
