@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <numeric>
 
 namespace palmar {
 
@@ -9,17 +10,48 @@ namespace {
 
 constexpr int kFoundCapacity = 8192;
 
-std::vector<Sphere> palm_spheres(const HandModel& hand) {
-  std::vector<Sphere> spheres;
-  for (const PalmSphere& s : hand.palm) spheres.push_back({s.center, s.radius});
-  return spheres;
+// Halves a range of palm spheres along its longest side until sixteen or fewer are left.
+void add_groups(const HandModel& hand, std::uint32_t* begin, std::uint32_t* end, double slack,
+                std::vector<PalmGroups::Group>& groups) {
+  PalmGroups::Group group;
+  group.low = group.high = hand.palm[*begin].center;
+  group.radius = 0;
+  group.count = int(std::min<std::ptrdiff_t>(end - begin, kWide));
+  for (const std::uint32_t* i = begin; i < end; ++i) {
+    group.low = group.low.cwiseMin(hand.palm[*i].center);
+    group.high = group.high.cwiseMax(hand.palm[*i].center);
+    group.radius = std::max(group.radius, hand.palm[*i].radius);
+  }
+  if (end - begin > kWide) {
+    int axis;
+    (group.high - group.low).maxCoeff(&axis);
+    std::uint32_t* const middle = begin + (end - begin) / 2;
+    std::nth_element(begin, middle, end, [&](std::uint32_t i, std::uint32_t j) {
+      const double ci = hand.palm[i].center[axis], cj = hand.palm[j].center[axis];
+      return ci < cj || (ci == cj && i < j);
+    });
+    add_groups(hand, begin, middle, slack, groups);
+    add_groups(hand, middle, end, slack, groups);
+    return;
+  }
+  for (int k = 0; k < kWide; ++k) {
+    const bool used = k < group.count;
+    const PalmSphere& s = hand.palm[used ? begin[k] : *begin];
+    group.sphere[k] = used ? begin[k] : 0;
+    group.node.x[k] = used ? float(s.center.x()) : 1e9f;  // farther than anything a pack may hold
+    group.node.y[k] = float(s.center.y());
+    group.node.z[k] = float(s.center.z());
+    group.node.r[k] = float(s.radius + slack);
+    group.node.child[k] = 0;
+  }
+  groups.push_back(group);
 }
 
-// The palm's pairs, one sphere of the palm after the other: slower, but what a dense object has near one sphere fits.
-bool gather_each_palm_sphere(const HandModel& hand, const CollisionObject& object, const HandPlacement& at,
-                             double margin, Candidates& out, std::uint32_t& visited) {
-  for (std::size_t k = 0; k < hand.palm.size(); ++k) {
-    const PalmSphere& mine = hand.palm[k];
+// A group's pairs, one sphere of the palm after the other: slower, but what a dense object has near one sphere fits.
+bool gather_each_sphere(const HandModel& hand, const PalmGroups::Group& group, const CollisionObject& object,
+                        const HandPlacement& at, double margin, Candidates& out, std::uint32_t& visited) {
+  for (int k = 0; k < group.count; ++k) {
+    const PalmSphere& mine = hand.palm[group.sphere[k]];
     const Vec3 center = at.rotation * mine.center + at.position;
     const int count =
         object.tree.find(ball_query(center, mine.radius, margin), out.found.data(), kFoundCapacity, visited);
@@ -28,41 +60,45 @@ bool gather_each_palm_sphere(const HandModel& hand, const CollisionObject& objec
       const Sphere& sphere = object.leaves[out.found[i]];
       if ((center - sphere.center).norm() - mine.radius - sphere.radius > margin) continue;
       if (out.count == int(out.pairs.size())) return false;
-      out.pairs[out.count++] = {sphere.center, sphere.radius, out.found[i], std::uint32_t(k)};
+      out.pairs[out.count++] = {sphere.center, sphere.radius, out.found[i], group.sphere[k]};
     }
   }
   return true;
 }
 
-// Object spheres near the palm's box, then each against the palm's own tree, in the palm's frame.
-bool gather_palm(const HandModel& hand, const PalmTree& palm, const CollisionObject& object, const HandPlacement& at,
+// The object's spheres near the box of each group, then each against the group's sixteen at once, in the palm's frame.
+bool gather_palm(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
                  double margin, Candidates& out, std::uint32_t& visited) {
   const int capacity = int(out.pairs.size());
-  const Vec3 half = 0.5 * (hand.palm_high - hand.palm_low);
-  const Vec3 middle = at.rotation * (0.5 * (hand.palm_low + hand.palm_high)) + at.position;
-  BoxQuery box;
-  box.cx = float(middle.x()), box.cy = float(middle.y()), box.cz = float(middle.z());
-  for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < 3; ++k) box.m[3 * i + k] = float(at.rotation(k, i));
-  box.hx = float(half.x()), box.hy = float(half.y()), box.hz = float(half.z());
-  box.radius = float(hand.palm_radius_max + margin + query_rounding(middle, half.norm() + hand.palm_radius_max));
-  int near_palm = object.tree.find(box, out.found.data(), kFoundCapacity / 2, visited);
-  if (near_palm > kFoundCapacity / 2) {
-    if (!gather_each_palm_sphere(hand, object, at, margin, out, visited)) return false;
-    near_palm = 0;
-  }
-  std::uint32_t* const touched = out.found.data() + kFoundCapacity / 2;
-  for (int i = 0; i < near_palm; ++i) {
-    const Sphere& sphere = object.leaves[out.found[i]];
-    const Vec3 in_palm = at.rotation.transpose() * (sphere.center - at.position);
-    const int count = palm.tree.find(ball_query(in_palm, sphere.radius, margin + object.tree.slack()), touched,
-                                     kFoundCapacity / 2, visited);
-    if (count > kFoundCapacity / 2) return false;
-    for (int k = 0; k < count; ++k) {
-      const PalmSphere& mine = hand.palm[touched[k]];
-      if ((mine.center - in_palm).norm() - mine.radius - sphere.radius > margin) continue;
-      if (out.count == capacity) return false;
-      out.pairs[out.count++] = {sphere.center, sphere.radius, out.found[i], touched[k]};
+  alignas(64) float excess[kWide];
+  for (const PalmGroups::Group& group : palm.groups) {
+    const Vec3 half = 0.5 * (group.high - group.low);
+    const Vec3 middle = at.rotation * (0.5 * (group.low + group.high)) + at.position;
+    BoxQuery box;
+    box.cx = float(middle.x()), box.cy = float(middle.y()), box.cz = float(middle.z());
+    for (int i = 0; i < 3; ++i)
+      for (int k = 0; k < 3; ++k) box.m[3 * i + k] = float(at.rotation(k, i));
+    box.hx = float(half.x()), box.hy = float(half.y()), box.hz = float(half.z());
+    box.radius = float(group.radius + margin + query_rounding(middle, half.norm() + group.radius));
+    const int near = object.tree.find(box, out.found.data(), kFoundCapacity, visited);
+    if (near > kFoundCapacity) {
+      if (!gather_each_sphere(hand, group, object, at, margin, out, visited)) return false;
+      continue;
+    }
+    visited += std::uint32_t(near);
+    for (int i = 0; i < near; ++i) {
+      const Sphere& sphere = object.leaves[out.found[i]];
+      const Vec3 in_palm = at.rotation.transpose() * (sphere.center - at.position);
+      const double rounding = query_rounding(in_palm, sphere.radius + hand.reach);
+      ball_excess(group.node, float(in_palm.x()), float(in_palm.y()), float(in_palm.z()),
+                  float(sphere.radius + margin + rounding), excess);
+      for (int k = 0; k < group.count; ++k) {
+        if (excess[k] > 0.0f) continue;
+        const PalmSphere& mine = hand.palm[group.sphere[k]];
+        if ((mine.center - in_palm).norm() - mine.radius - sphere.radius > margin) continue;
+        if (out.count == capacity) return false;
+        out.pairs[out.count++] = {sphere.center, sphere.radius, out.found[i], group.sphere[k]};
+      }
     }
   }
   return true;
@@ -72,9 +108,15 @@ bool gather_palm(const HandModel& hand, const PalmTree& palm, const CollisionObj
 
 Candidates::Candidates(int capacity) : pairs(capacity), found(kFoundCapacity) {}
 
-PalmTree::PalmTree(const HandModel& hand) : tree(palm_spheres(hand)) {}
+PalmGroups::PalmGroups(const HandModel& hand) {
+  std::vector<std::uint32_t> order(hand.palm.size());
+  std::iota(order.begin(), order.end(), 0u);
+  // As WideTree's: a handful of float operations on coordinates no larger than the hand's reach.
+  const double slack = 16.0 * hand.reach * std::numeric_limits<float>::epsilon();
+  add_groups(hand, order.data(), order.data() + order.size(), slack, groups);
+}
 
-bool gather_candidates(const HandModel& hand, const PalmTree& palm, const CollisionObject& object,
+bool gather_candidates(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object,
                        const HandPlacement& at, double margin, Candidates& out, std::uint32_t& visited, int first_link,
                        int end_link) {
   const int capacity = int(out.pairs.size());

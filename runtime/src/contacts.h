@@ -31,15 +31,23 @@ struct Candidates {
   std::vector<std::uint32_t> found;  // scratch
 };
 
-// The palm's own spheres in a tree, so that palm against object costs contacts, not spheres times spheres.
-struct PalmTree {
-  explicit PalmTree(const HandModel& hand);
-  WideTree tree;
+// The palm's own spheres in groups of up to sixteen neighbours, each with the box around their centres (palm frame), so
+// that palm against object costs contacts, not spheres times spheres.
+struct PalmGroups {
+  explicit PalmGroups(const HandModel& hand);
+  struct Group {
+    WideNode node;
+    std::array<std::uint32_t, kWide> sphere;
+    int count;
+    Vec3 low, high;
+    double radius;  // the largest
+  };
+  std::vector<Group> groups;
 };
 
 // Fills `out` with the pairs within `margin` of the placement. False when they do not fit. Links before first_link keep
 // the pairs that they have, links from end_link on get none.
-bool gather_candidates(const HandModel& hand, const PalmTree& palm, const CollisionObject& object,
+bool gather_candidates(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object,
                        const HandPlacement& at, double margin, Candidates& out, std::uint32_t& visited,
                        int first_link = 0, int end_link = kLinks);
 

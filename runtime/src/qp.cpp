@@ -35,6 +35,9 @@ PALMAR_WIDE void group_violations(const double* const* g, const double* b, const
 }
 
 struct Solver {
+  Solver(const QpProblem& problem_, const QpRows& rows_, double tolerance_, double* violation_)
+      : problem(problem_), rows(rows_), tolerance(tolerance_), violation(violation_) {}
+
   const QpProblem& problem;
   const QpRows& rows;
   double tolerance;
@@ -204,7 +207,7 @@ QpRows::QpRows(int capacity_) : capacity(capacity_), b(capacity_) {
 
 QpResult solve_qp(const QpProblem& problem, const QpRows& rows, double tolerance, int iteration_limit,
                   double* violation) {
-  Solver solver{problem, rows, tolerance, violation, {}, 0, {}, {}, {}};
+  Solver solver(problem, rows, tolerance, violation);
   QpResult result;
   result.x = problem.target;
   const auto finish = [&](QpStatus status) {

@@ -33,7 +33,7 @@ class Session {
   std::uint64_t hash_state() const;
 
   HandModel hand_;
-  PalmTree palm_;
+  PalmGroups palm_;
   CollisionObject object_;
   Settings settings_;
   SolveFunction solve_;

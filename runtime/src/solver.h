@@ -63,7 +63,7 @@ struct Workspace {
 
 struct Scene {
   const HandModel& hand;
-  const PalmTree& palm;
+  const PalmGroups& palm;
   const CollisionObject& object;
   const Settings& settings;
 };

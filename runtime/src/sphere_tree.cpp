@@ -20,7 +20,8 @@ namespace {
 constexpr int kMaxDepth = 16;  // 16^16 spheres
 constexpr int kMaxStack = kMaxDepth * (kWide - 1) + 1;
 
-PALMAR_WIDE void node_gaps(const WideNode& node, const SphereQuery& q, float* gap) {
+PALMAR_WIDE void node_gaps(const WideNode& node, const SphereQuery& query, float* __restrict gap) {
+  const SphereQuery q = query;  // a copy cannot alias `gap`, or the loop would not be vectorised
   for (int i = 0; i < kWide; ++i) {
     const float dx = node.x[i] - q.x, dy = node.y[i] - q.y, dz = node.z[i] - q.z;
     const float t = dx * q.ux + dy * q.uy + dz * q.uz;
@@ -35,18 +36,20 @@ PALMAR_WIDE void node_gaps(const WideNode& node, const SphereQuery& q, float* ga
   }
 }
 
-PALMAR_WIDE void node_gaps(const WideNode& node, const BoxQuery& q, float* gap) {
+PALMAR_WIDE void node_gaps(const WideNode& node, const BoxQuery& query, float* __restrict gap) {
+  const BoxQuery q = query;
   for (int i = 0; i < kWide; ++i) {
     const float dx = node.x[i] - q.cx, dy = node.y[i] - q.cy, dz = node.z[i] - q.cz;
     const float ax = q.m[0] * dx + q.m[1] * dy + q.m[2] * dz;
     const float ay = q.m[3] * dx + q.m[4] * dy + q.m[5] * dz;
     const float az = q.m[6] * dx + q.m[7] * dy + q.m[8] * dz;
-    float ox = (ax < 0.0f ? -ax : ax) - q.hx;
-    float oy = (ay < 0.0f ? -ay : ay) - q.hy;
-    float oz = (az < 0.0f ? -az : az) - q.hz;
-    ox = ox > 0.0f ? ox : 0.0f;
-    oy = oy > 0.0f ? oy : 0.0f;
-    oz = oz > 0.0f ? oz : 0.0f;
+    float ox = __builtin_fabsf(ax) - q.hx;
+    float oy = __builtin_fabsf(ay) - q.hy;
+    float oz = __builtin_fabsf(az) - q.hz;
+    // The positive part without a branch: the compiler splits three conditions into eight paths and vectorises none.
+    ox = 0.5f * (ox + __builtin_fabsf(ox));
+    oy = 0.5f * (oy + __builtin_fabsf(oy));
+    oz = 0.5f * (oz + __builtin_fabsf(oz));
     gap[i] = __builtin_sqrtf(ox * ox + oy * oy + oz * oz) - node.r[i] - q.radius;
   }
 }
@@ -66,6 +69,14 @@ Sphere bound_of(const Sphere* spheres, int count) {
 }
 
 }  // namespace
+
+PALMAR_WIDE void ball_excess(const WideNode& node, float x, float y, float z, float reach, float* __restrict excess) {
+  for (int i = 0; i < kWide; ++i) {
+    const float dx = node.x[i] - x, dy = node.y[i] - y, dz = node.z[i] - z;
+    const float sum = node.r[i] + reach;
+    excess[i] = dx * dx + dy * dy + dz * dz - sum * sum;
+  }
+}
 
 double query_rounding(const Vec3& center, double size) {
   return 16.0 * std::numeric_limits<float>::epsilon() * (center.cwiseAbs().maxCoeff() + size);

@@ -44,6 +44,10 @@ SphereQuery ball_query(const Vec3& center, double radius, double margin);
 // size, and the hand is larger than a small object. Already in the margin of capsule_query and ball_query.
 double query_rounding(const Vec3& center, double size);
 
+// excess[i] <= 0 where a ball of radius `reach` about (x, y, z) meets sphere i of the node: squared centre distance
+// less the square of the radii's sum. Unused slots must lie far away.
+void ball_excess(const WideNode& node, float x, float y, float z, float reach, float* excess);
+
 class WideTree {
  public:
   WideTree() = default;

@@ -37,7 +37,7 @@ int main() {
 
   // Rows: every coefficient against central differences of the exact gap, at random poses, palm and fingers.
   const HandModel hand = made::hand();
-  const PalmTree palm(hand);
+  const PalmGroups palm(hand);
   int compared = 0;
   for (int trial = 0; trial < 60; ++trial) {
     const Configuration q = made::random_configuration(rng, 0.06);

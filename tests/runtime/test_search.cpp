@@ -63,7 +63,7 @@ int main() {
   }
 
   const HandModel hand = made::hand();
-  const PalmTree palm(hand);
+  const PalmGroups palm(hand);
   const CollisionObject object(made::ears());
   Candidates candidates(20000);
   int pairs = 0;
@@ -93,16 +93,19 @@ int main() {
   }
   CHECK(pairs > 1000);
 
-  // A palm of more spheres than one search may find is refused, not read past
-  // the end.
+  // A palm of thousands of spheres: every pair within the margin is found.
   {
     HandModel many = made::hand();
     for (int i = 0; i < 5000; ++i) many.palm.push_back({1e-6 * Vec3(u(rng), u(rng), u(rng)), 0.011});
     many.finish();
     Candidates room(20000);
     std::uint32_t visited = 0;
-    CHECK(!gather_candidates(many, PalmTree(many), CollisionObject({{Vec3(0, 0, 0.0115), 0.001}}),
-                             place_hand(many, Configuration{}), 0.001, room, visited));
+    CHECK(gather_candidates(many, PalmGroups(many), CollisionObject({{Vec3(0, 0, 0.0115), 0.001}}),
+                            place_hand(many, Configuration{}), 0.001, room, visited));
+    int within = 0;
+    for (const PalmSphere& s : many.palm) within += (s.center - Vec3(0, 0, 0.0115)).norm() - s.radius - 0.001 <= 0.001;
+    CHECK(within >= 5000);
+    CHECK(room.link_start[1] == within);
   }
   return finish();
 }
