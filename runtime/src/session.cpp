@@ -228,6 +228,8 @@ std::uint64_t Session::hash_state() const {
   mix(hash, state_.graphic.rotation.coeffs().data(), 32);
   mix(hash, state_.graphic.abduction.data(), sizeof state_.graphic.abduction);
   mix(hash, state_.graphic.flexion.data(), sizeof state_.graphic.flexion);
+  mix(hash, haptic_before_.position.data(), 24);
+  mix(hash, haptic_before_.rotation.coeffs().data(), 32);
   mix(hash, felt_.palm_force.data(), 24);
   mix(hash, felt_.palm_torque.data(), 24);
   mix(hash, felt_.joint_torque.data(), sizeof felt_.joint_torque);
