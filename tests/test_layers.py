@@ -12,7 +12,7 @@ STAGES = ("tools", "traces", "eval")
 KNOW_ALL = ("cli", "demo")
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [
-    "error records algebra crc32 cdr mcap",
+    "error records algebra crc32 cdr mcap wide",
     "sphere_tree hand schemas mcap_reader mcap_writer",
     "object gap qp pack_file resample channels",
     "contacts trace_file run_file",

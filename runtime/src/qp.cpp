@@ -4,11 +4,7 @@
 #include <cmath>
 #include <limits>
 
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__SANITIZE_ADDRESS__)
-#define PALMAR_WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define PALMAR_WIDE
-#endif
+#include "wide.h"
 
 namespace palmar {
 

@@ -1,0 +1,10 @@
+// How a loop over many numbers is compiled.
+#pragma once
+
+// One source, the instruction set chosen when the program starts. Element-wise IEEE operations in a fixed order, so
+// each build gives the same bits.
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__SANITIZE_ADDRESS__)
+#define PALMAR_WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define PALMAR_WIDE
+#endif
