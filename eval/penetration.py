@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmar.eval.case import Case, NotMeasured
+from palmar.eval.far_side import far_side_of, on_far_side
 from palmar.eval.judge import gap_to_mesh, wrong_side
 
 Array = NDArray[np.float64]
@@ -35,5 +36,7 @@ def hover(case: Case) -> Array:
 
 
 def wrong_side_steps(case: Case) -> Array:
-    """(n,) 1 where a link's axis is inside the true mesh or went through it since the step before, else 0."""
-    return wrong_side(case.shape, case.mesh, *case.mesh_gap_m).astype(np.float64)
+    """(n,) 1 where a link's axis is inside the true mesh, went through it since the step before, or is where the scene
+    says that it must never be; else 0."""
+    crossed = wrong_side(case.shape, case.mesh, *case.mesh_gap_m)
+    return (crossed | on_far_side(case.shape, far_side_of(case.run))).astype(np.float64)
