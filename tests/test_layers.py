@@ -9,7 +9,7 @@ TOP = Path(__file__).resolve().parents[1]
 SOURCE = TOP / "runtime" / "src"
 STAGES = ("tools", "traces", "eval")
 # Only these files of the package root know the stages.
-KNOW_ALL = ("cli", "demo")
+KNOW_ALL = ("cli", "demo", "check")
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [
     "error records algebra crc32 cdr mcap wide",
@@ -28,10 +28,10 @@ LAYERS = [
 EVERYWHERE = {"palmar", "numpy", "scipy"}
 DOORS = {
     "igl": ["eval/gap.py", "tools/close.py", "tools/solid.py"],
-    "manifold3d": ["tools/close.py", "tools/shapes.py"],
+    "manifold3d": ["tools/close.py", "tools/lattice.py", "tools/shapes.py"],
     "matplotlib": ["eval/figures.py"],
     "plotly": ["eval/page.py"],
-    "pydantic": ["traces/scripted.py"],
+    "pydantic": ["traces/scene_file.py"],
     "rich": ["runtime/palmar/terminal.py"],
     "safetensors": ["runtime/palmar/model.py"],
     "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py"],

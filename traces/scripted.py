@@ -1,7 +1,7 @@
-"""Scene script + seed -> Trace: a hand grasps whatever object it is given. The `script` verb.
+"""Scene script + seed -> Trace: a hand grasps whatever object it is given, or does what the scene says by keys.
 
-A scene is a TOML file in `traces/scenes`; its keys are the fields of `GraspScene`. The motion is made of minimum-jerk
-moves (Flash and Hogan 1985): s(u) = 10 u^3 - 15 u^4 + 6 u^5, at most 1.875 D / T fast over a distance D in a time T.
+The `script` verb. A scene is a TOML file in `traces/scenes`; its keys are the fields of a model in `scene_file`. The
+motion of a grasp is made of minimum-jerk moves (Flash and Hogan 1985).
 """
 
 from __future__ import annotations
@@ -10,10 +10,9 @@ import hashlib
 import json
 import tomllib
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.spatial.transform import Rotation
 
 from palmar.errors import PalmarError
@@ -21,37 +20,12 @@ from palmar.model import HandModel, SphereTree, load_pack
 from palmar.records import Trace, write_trace
 from palmar.traces.columns import nearest
 from palmar.traces.device import summarise
+from palmar.traces.keyframes import key_trace, min_jerk
 from palmar.traces.kinematics import Array
 from palmar.traces.place import Closing, Grasp, place_grasp
+from palmar.traces.scene_file import GraspScene, Sampled, cases_of, check_scene
 
 SCENES = Path(__file__).parent / "scenes"
-
-
-class GraspScene(BaseModel):
-    """Approach, close, slide, hold still, leave. SI units; every key is needed, none beyond these is known."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    kind: Literal["grasp"]
-    why: str = Field(min_length=1)
-    rate_hz: float = Field(ge=50, le=8000)
-    start_m: float = Field(ge=0.01, le=0.5)
-    press_m: float = Field(ge=0.0, le=0.02)
-    squeeze_m: float = Field(ge=0.0, le=0.05)
-    slide_radial_m: float = Field(ge=0.0, le=0.05)
-    slide_distal_m: float = Field(ge=0.0, le=0.05)
-    slide_turn_rad: float = Field(ge=0.0, le=0.5)
-    vary_position_m: float = Field(ge=0.0, le=0.02)
-    vary_turn_rad: float = Field(ge=0.0, le=0.3)
-    open_rad: tuple[float, float, float]
-    fist_rad: tuple[float, float, float]
-    thumb_open_rad: tuple[float, float, float]
-    thumb_fist_rad: tuple[float, float, float]
-    approach_s: float = Field(ge=0.1, le=10)
-    close_s: float = Field(ge=0.1, le=10)
-    slide_s: float = Field(ge=0.1, le=10)
-    hold_s: float = Field(ge=0.1, le=60)
-    leave_s: float = Field(ge=0.1, le=10)
 
 
 def script(
@@ -103,29 +77,17 @@ def load_scene(scene: str | Path) -> tuple[dict[str, Any], Path, str]:
     return keys, path, hashlib.sha256(content).hexdigest()
 
 
-def check_scene(keys: dict[str, Any], where: str) -> GraspScene:
-    """The scene's keys with their types and ranges checked. Raises PalmarError E-CONF `where:key`."""
-    try:
-        return GraspScene.model_validate(keys)
-    except ValidationError as error:
-        # The first fault alone: an unknown key before the missing one that it was meant to be.
-        fault = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    key = ".".join(str(part) for part in fault["loc"])
-    if fault["type"] == "extra_forbidden":
-        known = list(GraspScene.model_fields)
-        raise PalmarError("E-CONF", f"{where}:{key}", f"unknown key{nearest(key, known)}; known are {', '.join(known)}")
-    if fault["type"] == "missing":
-        raise PalmarError("E-CONF", f"{where}:{key}", "key is missing")
-    message = fault["msg"].removeprefix("Input should be ")
-    raise PalmarError("E-CONF", f"{where}:{key}", f"found {fault['input']!r}; allowed is {message}")
-
-
 def script_trace(scene: dict[str, Any], hand: HandModel, tree: SphereTree, seed: int) -> Trace:
-    """The haptic hand of a scene on one object that stands still at the origin; same input and seed, same bytes.
+    """The haptic hand of a scene; same input and seed, same bytes.
 
-    Raises PalmarError E-CONF if the scene is not right (see `check_scene`).
+    A grasp is made to fit the object, which stands still at the origin. Of any other scene it is the first case, and
+    the seed is its start. Raises PalmarError E-CONF if the scene is not right (see `check_scene`).
     """
     p = check_scene(scene, "scene")
+    if not isinstance(p, GraspScene):
+        first = check_scene(cases_of(scene, "scene")[0][1], "scene")
+        assert isinstance(first, Sampled)
+        return key_trace(first, hand, seed)
     opened = np.array([p.thumb_open_rad, *[p.open_rad] * 4])
     fist = np.array([p.thumb_fist_rad, *[p.fist_rad] * 4])
     opened, fist = (np.clip(a, hand.flexion_limit_rad[..., 0], hand.flexion_limit_rad[..., 1]) for a in (opened, fist))
@@ -195,11 +157,6 @@ def script_trace(scene: dict[str, Any], hand: HandModel, tree: SphereTree, seed:
         object_position_m=np.zeros((count, 3)),
         object_rotation_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
     )
-
-
-def min_jerk(u: Array) -> Array:
-    """10 u^3 - 15 u^4 + 6 u^5: 0 at u = 0, 1 at u = 1, at rest at both; slope at most 1.875, curvature 5.774."""
-    return u**3 * (10.0 + u * (6.0 * u - 15.0))
 
 
 def _slide(p: GraspScene, grasp: Grasp, sense: Array, s: Array) -> tuple[Array, Array]:

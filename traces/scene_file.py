@@ -1,0 +1,242 @@
+"""Scene files: which keys a kind of scene has, and the cases that its sweeps make. Format: docs/traces.md."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from palmar.errors import PalmarError
+from palmar.traces.columns import nearest
+
+Three = tuple[float, float, float]
+Which = Literal["thumb", "index", "middle", "ring", "little", "fingers", "all"]  # fingers: all but the thumb
+Seconds = Annotated[float, Field(ge=0.0, le=600.0)]
+
+
+class Strict(BaseModel):
+    """No key beyond those named, and no NaN."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class GraspScene(Strict):
+    """Approach, close, slide, hold still, leave. SI units; every key is needed, none beyond these is known."""
+
+    kind: Literal["grasp"]
+    why: str = Field(min_length=1)
+    rate_hz: float = Field(ge=50, le=8000)
+    start_m: float = Field(ge=0.01, le=0.5)
+    press_m: float = Field(ge=0.0, le=0.02)
+    squeeze_m: float = Field(ge=0.0, le=0.05)
+    slide_radial_m: float = Field(ge=0.0, le=0.05)
+    slide_distal_m: float = Field(ge=0.0, le=0.05)
+    slide_turn_rad: float = Field(ge=0.0, le=0.5)
+    vary_position_m: float = Field(ge=0.0, le=0.02)
+    vary_turn_rad: float = Field(ge=0.0, le=0.3)
+    open_rad: Three
+    fist_rad: Three
+    thumb_open_rad: Three
+    thumb_fist_rad: Three
+    approach_s: float = Field(ge=0.1, le=10)
+    close_s: float = Field(ge=0.1, le=10)
+    slide_s: float = Field(ge=0.1, le=10)
+    hold_s: float = Field(ge=0.1, le=60)
+    leave_s: float = Field(ge=0.1, le=10)
+
+
+class Key(Strict):
+    """A posture and how the hand gets there from the key before. What a key does not say stays as it was."""
+
+    after_s: Seconds | None = None  # since the key before
+    speed_m_per_s: float | None = Field(default=None, gt=0.0, le=100.0)  # of the point, instead of after_s
+    move: Literal["linear", "min_jerk", "hold"] = "linear"  # hold: stay, and be there at once at the end
+    phase: str = ""  # name of the time from the key before to this one
+    position_m: Three | None = None
+    move_m: Three | None = None  # from the key before, instead of position_m
+    turn_rad: Three | None = None  # rotation vector, world from palm
+    flexion_rad: dict[Which, Three] = {}  # later entries overrule earlier ones
+    abduction_rad: dict[Which, float] = {}
+    object_position_m: Three | None = None
+    object_turn_rad: Three | None = None
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> Key:
+        if self.position_m is not None and self.move_m is not None:
+            raise ValueError("position_m or move_m, not both")
+        if self.after_s is not None and self.speed_m_per_s is not None:
+            raise ValueError("after_s or speed_m_per_s, not both")
+        return self
+
+
+class Disturbance(Strict):
+    """What goes wrong with the samples from at_s on for for_s; in the header it is a phase of the name disturbance."""
+
+    kind: Literal["spike", "frozen", "untracked", "zeros"]
+    at_s: Seconds
+    for_s: Seconds
+    move_m: Three = (0.0, 0.0, 0.0)  # added by a spike
+    turn_rad: Three = (0.0, 0.0, 0.0)  # likewise
+    flexion_rad: float = 0.0  # likewise, to every joint
+
+
+class Noise(Strict):
+    """Added to every sample; white, or inside band_hz; quantum_rad rounds the joint angles after it."""
+
+    position_m: float = Field(default=0.0, ge=0.0, le=0.1)  # standard deviation of each coordinate
+    turn_rad: float = Field(default=0.0, ge=0.0, le=1.0)  # about each axis
+    joint_rad: float = Field(default=0.0, ge=0.0, le=1.0)
+    band_hz: tuple[float, float] | None = None
+    quantum_rad: float = Field(default=0.0, ge=0.0, le=0.5)
+
+
+class Limit(Strict):
+    """What a metric's number may be in this scene; reported only if there is no limit."""
+
+    limit: float | None = Field(default=None, ge=0.0)
+    reason: str = Field(min_length=10)
+
+
+class Region(Strict):
+    """Half-spaces n.x > d, in the object's frame, in all of which no axis of the links may ever be."""
+
+    half_spaces: list[tuple[float, float, float, float]] = Field(min_length=1)
+    links: list[Annotated[int, Field(ge=0, le=15)]] | None = None
+
+
+class Sampled(Strict):
+    """What scenes for `palmar check` have in common: the object, how the motion is sampled, and what is asked."""
+
+    id: str = Field(pattern=r"^[A-Z]\d+[a-z]?$")
+    why: str = Field(min_length=80)
+    rate_hz: float = Field(default=1000.0, ge=50, le=8000)
+    hold_hz: float = Field(default=0.0, ge=0.0, le=8000)  # a sample is kept so long; 0: no longer than one
+    starts: int = Field(default=1, ge=1, le=1000)  # replays, whose first samples are spread over one sample's time
+    object: dict[str, Any]
+    point: Literal["frame", "palm", "thumb", "index", "middle", "ring", "little", "hand"] = "frame"
+    towards: Three = (0.0, 0.0, -1.0)
+    disturbance: list[Disturbance] = []
+    noise: Noise = Noise()
+    settings: dict[str, str | int | float] = {}
+    limits: dict[str, Limit] = {}
+    figures: list[str] = []  # numbers to print, METRIC STAT
+    mesh: bool = True  # judged against the true mesh too
+    far_side: list[Region] = []
+    sweep: list[dict[str, list[Any]]] = []
+
+
+class KeysScene(Sampled):
+    """A hand that goes from key to key."""
+
+    kind: Literal["keys"]
+    key: list[Key] = Field(min_length=2)
+
+
+class RandomScene(Sampled):
+    """Random targets at random times inside a box of places and postures; each of the `starts` draws its own."""
+
+    kind: Literal["random"]
+    seed: int = Field(default=0, ge=0)
+    lasts_s: float = Field(ge=0.1, le=600)
+    start_m: Three
+    every_s: tuple[float, float]
+    low_m: Three
+    high_m: Three
+    turn_rad: float = Field(ge=0.0, le=3.2)  # about each axis, to either side of `turned_rad`
+    turned_rad: Three = (0.0, 0.0, 0.0)
+    flexion_rad: tuple[float, float]
+    abduction_rad: tuple[float, float]
+    jump_share: float = Field(ge=0.0, le=1.0)  # of the targets that are there at once
+
+
+Scene = GraspScene | KeysScene | RandomScene
+SCENE_KINDS: dict[str, type[Scene]] = {"grasp": GraspScene, "keys": KeysScene, "random": RandomScene}
+
+
+def check_scene(keys: dict[str, Any], where: str) -> Scene:
+    """The scene's keys with their types and ranges checked. Raises PalmarError E-CONF `where:key`."""
+    kind = keys.get("kind")
+    if kind not in SCENE_KINDS:
+        raise PalmarError(
+            "E-CONF", f"{where}:kind", f"found {kind!r}; allowed is {' or '.join(map(repr, SCENE_KINDS))}"
+        )
+    model = SCENE_KINDS[kind]
+    try:
+        return model.model_validate(keys)
+    except ValidationError as error:
+        # The first fault alone: an unknown key before the missing one that it was meant to be.
+        fault = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    key = ".".join(str(part) for part in fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        known = _known_keys(model, fault["loc"])
+        last = str(fault["loc"][-1])
+        raise PalmarError(
+            "E-CONF", f"{where}:{key}", f"unknown key{nearest(last, known)}; known are {', '.join(known)}"
+        )
+    if fault["type"] == "missing":
+        raise PalmarError("E-CONF", f"{where}:{key}", "key is missing")
+    message = fault["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    raise PalmarError("E-CONF", f"{where}:{key}", f"found {fault['input']!r}; allowed is {message}")
+
+
+def cases_of(keys: dict[str, Any], where: str) -> list[tuple[str, dict[str, Any]]]:
+    """Every case of a scene: its name, "" if there is one alone, and the scene's keys with the sweeps put in.
+
+    A sweep is a table from places in the scene, such as `key.1.speed_m_per_s`, to lists of values, all of one length
+    and taken together; several sweeps multiply. Raises PalmarError E-CONF.
+    """
+    axes = []
+    for number, sweep in enumerate(keys.get("sweep", [])):
+        at = f"{where}:sweep.{number}"
+        lengths = {len(values) if isinstance(values, list) else -1 for values in sweep.values()}
+        if len(lengths) != 1 or not min(lengths) > 0:
+            raise PalmarError("E-CONF", at, "lists that are empty or of several lengths; one length is allowed")
+        axes.append([[(place, values[k]) for place, values in sweep.items()] for k in range(lengths.pop())])
+    cases = []
+    for chosen in itertools.product(*axes):
+        changed = copy.deepcopy({key: value for key, value in keys.items() if key != "sweep"})
+        for place, value in itertools.chain(*chosen):
+            _put(changed, place, value, where)
+        # The first place of each sweep names the case; what goes with it follows from it.
+        name = ", ".join(f"{_short(places[0][0])} {_say(places[0][1])}" for places in chosen)
+        check_scene(changed, f"{where} [{name}]" if name else where)
+        cases.append((name, changed))
+    return cases
+
+
+def _put(keys: dict[str, Any], place: str, value: Any, where: str) -> None:
+    *way, last = place.split(".")
+    inside: Any = keys
+    try:
+        for part in way:
+            inside = inside[int(part)] if isinstance(inside, list) else inside.setdefault(part, {})
+        if isinstance(inside, list):
+            inside[int(last)] = value
+        else:
+            inside[last] = value
+    except (ValueError, IndexError, TypeError, AttributeError):
+        raise PalmarError("E-CONF", f"{where}:sweep", f"{place!r} is no place in the scene") from None
+
+
+def _short(place: str) -> str:
+    words = [part for part in place.split(".") if not part.isdigit()]
+    return words[-1]
+
+
+def _say(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value).replace(" ", "")
+
+
+def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """The keys of the table in which an unknown one was found."""
+    tables: dict[str, type[BaseModel]] = {
+        "key": Key,
+        "disturbance": Disturbance,
+        "noise": Noise,
+        "limits": Limit,
+        "far_side": Region,
+    }
+    inner = tables.get(str(location[0])) if len(location) > 1 else None
+    return list((inner or model).model_fields)
