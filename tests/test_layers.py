@@ -16,7 +16,7 @@ LAYERS = [
     "sphere_tree hand schemas mcap_reader mcap_writer",
     "object gap qp pack_file resample channels",
     "contacts trace_file run_file",
-    "force",
+    "force filter release",
     "solver",
     "baseline",
     "solve_.*",

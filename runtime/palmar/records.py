@@ -16,12 +16,13 @@ Array = NDArray[np.float64]
 
 # Bits of a step's status. 0 is the plain answer; every other bit says why the step was hard.
 STATUS = {
-    1: "recovering",  # the hand started inside or was lost; forces ramp up again
+    1: "recovering",  # the hand started inside, was lost or let go; forces grow back
     2: "iteration_limit",  # the operation budget ended before the pose converged
     4: "yielded",  # a finger was blocked and the palm, the wrist or an abduction gave way
     8: "kept_previous",  # no better pose could be verified; the last one stays
     16: "bad_sample",  # the sample was not usable (lost tracking, not finite); the last good one stays
     32: "limit",  # a joint limit of the hand model clipped the sample
+    64: "releasing",  # the hand was left behind and is led round the object; no force
 }
 
 

@@ -77,6 +77,15 @@ Forces follow(const Forces& felt, const Forces& spring, const ForceSteps& steps)
   return out;
 }
 
+Forces faded(const Forces& forces, double gain) {
+  Forces out;
+  out.palm_force = gain * forces.palm_force;
+  out.palm_torque = gain * forces.palm_torque;
+  for (int i = 0; i < 15; ++i) out.joint_torque[i] = gain * forces.joint_torque[i];
+  for (int f = 0; f < kFingers; ++f) out.fingertip[f] = gain * forces.fingertip[f];
+  return out;
+}
+
 Vec3 equation14_force(const HandModel& hand, int link, const Vec3& point, const Vec3& normal,
                       const HandPlacement& graphic_at, const HandPlacement& haptic_at) {
   const Vec3 local = link_frame(graphic_at, link).transpose() * (point - link_origin(graphic_at, link));

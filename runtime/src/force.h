@@ -28,6 +28,9 @@ ForceSteps force_steps(const HandModel& hand, const Configuration& haptic, const
 // `felt` moved towards `spring` by at most `steps`; equal to it, bit for bit, where that suffices.
 Forces follow(const Forces& felt, const Forces& spring, const ForceSteps& steps);
 
+// `gain` times each of them.
+Forces faded(const Forces& forces, double gain);
+
 // F = G (q_g - q_h), Eqs. 1 and 2, and the paper's fingertip normal force F_N: palm_stiffness times the part of the way
 // from haptic to graphic fingertip that is across the graphic distal phalanx (the vector EB2 of Fig. 9b).
 Forces spring_forces(const HandModel& hand, const Configuration& graphic, const HandPlacement& graphic_at,

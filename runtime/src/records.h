@@ -38,6 +38,7 @@ enum Status : std::uint32_t {
   kKeptPrevious = 8,
   kBadSample = 16,
   kLimit = 32,
+  kReleasing = 64,
 };
 
 struct Contact {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <limits>
 
 #include "error.h"
 
@@ -61,6 +62,8 @@ Session::Session(HandModel hand, std::vector<Sphere> object, Settings settings)
       settings_(std::move(settings)),
       solve_(find_solver(settings_.solver)),
       work_(settings_),
+      time_s_(std::numeric_limits<double>::quiet_NaN()),
+      elsewhere_(settings_.candidates),
       contacts_(kContactCapacity) {
   state_.placement = haptic_before_at_ = place_hand(hand_, state_.graphic);
 }
@@ -86,60 +89,85 @@ Configuration Session::inside_limits(Configuration q, bool& clipped) const {
   return q;
 }
 
+// Does the hand touch nothing at q?
+bool Session::free(const Configuration& q, HandPlacement& at) {
+  std::uint32_t visited = 0;
+  at = place_hand(hand_, q);
+  const bool fits = gather_candidates(hand_, palm_, object_, at, 0.0, elsewhere_, visited);
+  work_.operations += visited;
+  return fits && evaluate_gaps(hand_, elsewhere_, at, work_.trial_gap.data()) >= 0;
+}
+
 // The first pose: the haptic hand where it is free, else the nearest free place of the same hand found by moving it out
 // along 26 directions, growing steps, nearest first. True if it had to be moved.
 bool Session::start_at(const Configuration& haptic) {
-  std::uint32_t visited = 0;
-  const auto free = [&](const Configuration& q) {
-    state_.graphic = q;
-    state_.placement = place_hand(hand_, q);
-    return gather_candidates(hand_, palm_, object_, state_.placement, 0.0, work_.candidates, visited) &&
-           evaluate_gaps(hand_, work_.candidates, state_.placement, work_.gap.data()) >= 0;
-  };
   state_.started = true;
   state_.reach = settings_.reach_least_m;
-  if (free(haptic)) return false;
-  // Beyond this the hand's ball and the object's ball are apart.
+  state_.graphic = haptic;
+  if (free(haptic, state_.placement)) return false;
+  // Beyond this the hand's ball and the object's ball are apart: the search always ends at a free place.
   const double far = (haptic.position - object_.center).norm() + hand_.reach + object_.radius;
-  for (double out = 1e-3; out < 2 * far + 1e-2; out *= 1.15) {
+  for (double out = 5e-4; out < 2 * far + 1e-2; out *= 1.15) {
     for (int d = 0; d < 27; ++d) {
       const Vec3 direction(d % 3 - 1, d / 3 % 3 - 1, d / 9 - 1);
       if (direction.isZero()) continue;
-      Configuration q = haptic;
-      q.position += out * direction.normalized();
-      if (free(q)) return true;
+      state_.graphic.position = haptic.position + out * direction.normalized();
+      if (free(state_.graphic, state_.placement)) return true;
     }
   }
   return true;
 }
 
+// Between this sample and the last; a step of the settings' rate where the clock says nothing of use.
+double Session::seconds_since_last(double time_s) {
+  const double passed = time_s - time_s_;
+  if (std::isfinite(time_s)) time_s_ = time_s;
+  return passed > 0 && passed <= 0.1 ? passed : 1.0 / settings_.rate_hz;
+}
+
 const StepResult& Session::step(const Sample& sample) {
   work_.operations = 0;
   work_.search_us = work_.solve_us = work_.verify_us = 0;
+  const double dt_s = seconds_since_last(sample.time_s);
   std::uint32_t status = kOk;
+  bool fading = true;
   if (usable(sample)) {
-    // The solver works in the object's frame, where a moving object stands still and the hand carries its motion.
     placed_ = sample.object;
     haptic_pose_ = sample.pose;
-    const Quat object_rotation = to_quat(placed_.rotation_wxyz).normalized();
     Configuration q = to_configuration(sample.pose);
+    if (settings_.filter == "one_euro")
+      q = filter_pose({settings_.filter_cutoff_hz, settings_.filter_beta}, filter_, q, dt_s);
+    // The solver works in the object's frame, where a moving object stands still and the hand carries its motion.
+    const Quat object_rotation = to_quat(placed_.rotation_wxyz).normalized();
     q.position = object_rotation.conjugate() * (q.position - to_vec3(placed_.position_m));
     q.rotation = (object_rotation.conjugate() * q.rotation).normalized();
     bool clipped;
     haptic_ = inside_limits(q, clipped);
     if (clipped) status |= kLimit;
     if (!state_.started) {
-      if (start_at(haptic_)) status |= kRecovering;
+      if (start_at(haptic_)) gain_ = 0;
       haptic_before_ = haptic_;
       haptic_before_at_ = place_hand(hand_, haptic_);
       state_.haptic = haptic_;
     }
-    status |= solve_({hand_, palm_, object_, settings_}, haptic_, state_, work_);
+    const bool apart = (haptic_.position - state_.graphic.position).norm() > settings_.release_beyond_m;
+    HandPlacement haptic_at;
+    const bool left_behind = (apart || release_.active()) && free(haptic_, haptic_at);
+    const Configuration aim = release_.aim({settings_.release_after_s, settings_.release_beyond_m}, hand_, object_,
+                                           haptic_, state_.graphic, left_behind, dt_s);
+    status |= solve_({hand_, palm_, object_, settings_}, aim, state_, work_);
+    fading = release_.active();
+    if (fading) status |= kReleasing;
   } else {
     status |= kBadSample;
+    filter_.started = false;
     work_.active_count = 0;
     work_.candidates.count = 0;
   }
+  // Rounding must not leave a last trace of a force.
+  gain_ = std::clamp(gain_ + (fading ? -1 : 1) * dt_s / settings_.fade_s, 0.0, 1.0);
+  if (gain_ < 1e-9) gain_ = 0;
+  if (gain_ < 1 && !fading) status |= kRecovering;
   result_.time_s = sample.time_s;
   result_.status = status;
   report(haptic_);
@@ -168,7 +196,7 @@ void Session::report(const Configuration& haptic) {
   felt_ = step == 0
               ? spring
               : follow(felt_, spring, force_steps(hand_, haptic, haptic_at, haptic_before_, haptic_before_at_, step));
-  const Forces& forces = felt_;
+  const Forces forces = faded(felt_, gain_);
   haptic_before_ = haptic;
   haptic_before_at_ = haptic_at;
   result_.palm_force_n = to_array(direction(forces.palm_force));
@@ -195,7 +223,7 @@ void Session::report(const Configuration& haptic) {
       contact.force_n = 0;
       for (int k = 0; k < work_.active_count; ++k)
         if (work_.active[k].candidate == i)
-          contact.force_n = work_.active[k].multiplier / (link == 0 ? settings_.palm_priority : 1.0);
+          contact.force_n = gain_ * work_.active[k].multiplier / (link == 0 ? settings_.palm_priority : 1.0);
       Vec3 center, normal;
       double radius;
       if (link == 0) {
@@ -216,7 +244,7 @@ void Session::report(const Configuration& haptic) {
   }
   result_.contacts = count;
   for (int f = 0; f < kFingers; ++f) {
-    const Vec3 sum = direction(eq14[f]);
+    const Vec3 sum = gain_ * direction(eq14[f]);
     std::copy_n(sum.data(), 3, &result_.equation14_force_n[3 * f]);
   }
   result_.state_hash = hash_state();
@@ -234,6 +262,7 @@ std::uint64_t Session::hash_state() const {
   mix(hash, felt_.palm_torque.data(), 24);
   mix(hash, felt_.joint_torque.data(), sizeof felt_.joint_torque);
   for (const Vec3& tip : felt_.fingertip) mix(hash, tip.data(), 24);
+  mix(hash, &gain_, sizeof gain_);
   mix(hash, &state_.reach, sizeof state_.reach);
   mix(hash, state_.velocity.data(), sizeof state_.velocity);
   mix(hash, state_.haptic.abduction.data(), sizeof state_.haptic.abduction);

@@ -4,7 +4,9 @@
 #include <memory>
 #include <span>
 
+#include "filter.h"
 #include "pack_file.h"
+#include "release.h"
 #include "solver.h"
 
 namespace palmar {
@@ -28,7 +30,9 @@ class Session {
  private:
   bool usable(const Sample& sample) const;
   Configuration inside_limits(Configuration q, bool& clipped) const;
+  bool free(const Configuration& q, HandPlacement& at);
   bool start_at(const Configuration& haptic);
+  double seconds_since_last(double time_s);
   void report(const Configuration& haptic);
   std::uint64_t hash_state() const;
 
@@ -42,7 +46,12 @@ class Session {
   Configuration haptic_;         // last usable one, object frame
   Configuration haptic_before_;  // the one that felt_ was given for
   HandPlacement haptic_before_at_;
-  Forces felt_;           // object frame
+  Forces felt_;      // object frame, before fading
+  double gain_ = 1;  // share of the forces that is given
+  double time_s_;    // of the sample before; not finite before the first
+  FilterState filter_;
+  Release release_;
+  Candidates elsewhere_;  // around a pose that is only asked about
   Placement placed_;      // world from object, of the last usable sample
   HandPose haptic_pose_;  // as it came, world
   StepResult result_;

@@ -23,6 +23,10 @@ const std::vector<Key>& keys() {
       {"aim_m", &Settings::aim_m, 1e-9, 1e-3},
       {"candidates", &Settings::candidates, 64, 1'000'000},
       {"corrections", &Settings::corrections, 0, 100},
+      {"fade_s", &Settings::fade_s, 1e-3, 10},
+      {"filter", &Settings::filter, 0, 0},
+      {"filter_beta", &Settings::filter_beta, 0, 1000},
+      {"filter_cutoff_hz", &Settings::filter_cutoff_hz, 1e-3, 1000},
       {"force_step_n", &Settings::force_step_n, 0, 1e9},
       {"free_reach_m", &Settings::free_reach_m, 1e-4, 10},
       {"imposed_priority", &Settings::imposed_priority, 1e-3, 1e6},
@@ -34,6 +38,8 @@ const std::vector<Key>& keys() {
       {"rate_hz", &Settings::rate_hz, 1, 100'000},
       {"reach_least_m", &Settings::reach_least_m, 1e-6, 0.1},
       {"reach_most_m", &Settings::reach_most_m, 1e-5, 0.1},
+      {"release_after_s", &Settings::release_after_s, 0, 3600},
+      {"release_beyond_m", &Settings::release_beyond_m, 0.01, 1000},
       {"resample", &Settings::resample, 0, 0},
       {"settled_m", &Settings::settled_m, 0, 1e-4},
       {"solver", &Settings::solver, 0, 0},
@@ -88,6 +94,8 @@ Settings parse_settings(const std::string& json) {
     else
       settings.*std::get<double Settings::*>(found->member) = number;
   }
+  if (settings.filter != "none" && settings.filter != "one_euro")
+    throw Error("E-CONF-VALUE", "filter", "'" + settings.filter + "'; there are: none, one_euro");
   if (settings.reach_least_m > std::min(settings.reach_most_m, settings.free_reach_m))
     throw Error("E-CONF-VALUE", "reach_least_m",
                 nlohmann::json(settings.reach_least_m).dump() + "; at most reach_most_m and free_reach_m");

@@ -30,7 +30,13 @@ struct Settings {
   double joint_step_rad = 0.0174;  // an angle changes by at most this in a step, or by what the haptic one did if more
   double force_step_n = 0;         // above 0: forces follow the spring's at most so much a step faster than the
                                    // haptic hand's own motion explains
-  double settled_m = 1e-9;         // a step that would move the hand less leaves it, bit for bit
+  double release_after_s = 0.5;    // a hand whose haptic one has been free for so long, and
+  double release_beyond_m = 0.1;   // its palm farther away than this, is let go around the object
+  double fade_s = 0.1;  // forces fade to zero in this time when tracking is lost or a hand let go, and grow back
+  std::string filter = "none";  // of the samples: none, one_euro
+  double filter_cutoff_hz = 1;  // of one_euro at rest
+  double filter_beta = 3;       // Hz by which its cutoff grows for each rad/s, or each 50 mm/s of the palm
+  double settled_m = 1e-9;      // a step that would move the hand less leaves it, bit for bit
 };
 
 // Everything that the next step starts from. Poses are in the object's frame.

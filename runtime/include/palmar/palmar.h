@@ -33,7 +33,8 @@ enum {
   PALMAR_YIELDED = 4,         /* a finger was blocked and the palm, the wrist or an abduction gave way */
   PALMAR_KEPT_PREVIOUS = 8,   /* no better pose could be verified */
   PALMAR_BAD_SAMPLE = 16,     /* the sample was not usable; the last good one stays */
-  PALMAR_LIMIT = 32           /* a joint limit clipped the sample */
+  PALMAR_LIMIT = 32,          /* a joint limit clipped the sample */
+  PALMAR_RELEASING = 64       /* the hand was left behind and is led round the object; no force */
 };
 
 typedef struct palmar_placement {
