@@ -26,12 +26,25 @@ class NotMeasured(Exception):
 
 
 @dataclass(frozen=True)
+class Reference:
+    """What a converged solver answers to the same haptic hand: as runs, of which only the graphic poses are read.
+
+    A pose that is not a number stands for a step without an answer.
+    """
+
+    same_start: Run | None = None  # each step started from the pose that the judged run had before it
+    own_way: Run | None = None  # from the first step on its own
+
+
+@dataclass(frozen=True)
 class Case:
     """A run, the pack it was made with, and the object in it. Raises BadTrace or BadPack if they cannot be judged."""
 
     run: Run
     pack: AssetPack
     object_name: str
+    pack_bytes: int | None = None  # size of the pack's file
+    reference: Reference | None = None
 
     def __post_init__(self) -> None:
         run, name = self.run, self.object_name
@@ -107,6 +120,16 @@ class Case:
                 inside |= (self.run.time_s >= phase["start_s"]) & (self.run.time_s < phase["end_s"])
         return inside
 
+    def phase_slices(self, name: str) -> list[slice]:
+        """The steps of each phase of that name, in order, ends not counted; phases without a step are left out."""
+        times = self.run.time_s
+        found = []
+        for phase in self.run.phases:
+            if phase["name"] == name:
+                start, stop = np.searchsorted(times, [phase["start_s"], phase["end_s"]])
+                found += [slice(int(start), int(stop))] if stop > start else []
+        return found
+
     @cached_property
     def still_steps(self) -> NDArray[np.int64]:
         """(n,) how many steps ago, up to this one, the hand and object asked for last changed by a bit."""
@@ -128,3 +151,18 @@ class Case:
 
     def settings(self) -> dict[str, Any]:
         return json.loads(self.run.header.get("settings", "{}"))
+
+    @cached_property
+    def limits_of_scene(self) -> dict[str, dict[str, Any]]:
+        """Limits that the scene sets itself: "metric stat" -> {"limit", "reason"}. Raises BadTrace."""
+        text = json.loads(self.run.header.get("trace_header", "{}")).get("limits", "{}")
+        try:
+            limits = json.loads(text)
+            return {key: _limit(row) for key, row in limits.items()}
+        except (ValueError, KeyError, TypeError, AttributeError):
+            message = f'{text!r}; {{"METRIC STAT": {{"limit": number or null, "reason": text}}}} is needed'
+            raise BadTrace("E-RUN-VALUE", "run:trace_header.limits", message) from None
+
+
+def _limit(row: dict[str, Any]) -> dict[str, Any]:
+    return {"limit": None if row["limit"] is None else float(row["limit"]), "reason": str(row["reason"])}

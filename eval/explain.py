@@ -20,13 +20,17 @@ MEANING = {
     ),
     "excess_force_step": "Change of force in one step beyond what the motion of the haptic hand explains.",
     "still_force_step": "Change of force in a step while the input is constant.",
-    "contact_toggles": "Changes of the set of contacts at constant input.",
+    "contact_toggles": "Changes of the set of contacts a second while the input is constant: chatter.",
     "force_above_20hz": "Part of the force above 20 Hz while sliding: what is felt as roughness.",
     "force_ripple": (
         "Peak to peak of the force while sliding at constant commanded depth; 7 % of 2 N is just noticeable."
     ),
-    "energy_generated": "Energy that the virtual spring gave back beyond what the user put in.",
-    "energy_lost": "Work left over on a closed loop.",
+    "energy_generated": (
+        "Energy in the virtual spring, and given back, that the user did not put in: a hand that pushes by itself."
+    ),
+    "energy_lost": (
+        "Work that a closed loop of the haptic hand took and did not give back: friction that nobody modelled."
+    ),
     "joint_step_excess": (
         "Step of a graphic joint beyond that of the haptic joint (and beyond 1 degree): the jumps that a user sees."
     ),
@@ -34,9 +38,12 @@ MEANING = {
     "palm_offset": (
         "Distance of graphic and haptic palm. Penetration near zero is cheap when the hand lags, so read both."
     ),
-    "cost_excess": "Objective above that of a converged solution for all 21 variables together.",
+    "cost_excess": (
+        "Objective above that of a converged solution for palm and fingers together: from the same start (mean, p99), "
+        "and of a reference run on its own way (own)."
+    ),
     "frozen_steps": "Steps in which the previous pose was published again because no better one could be verified.",
-    "recovery": "Steps from the end of a disturbance until all limits hold again.",
+    "recovery": "Time from the end of a disturbance until all limits hold again.",
     "contacts": "Contact pairs handled in a step.",
     "step_cpu": "Thread CPU time of one step.",
     "step_wall": "Wall time of one step; other work on the machine is in it.",

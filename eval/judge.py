@@ -149,16 +149,18 @@ def fingertips(hand: HandModel, poses: Poses) -> Array:
     return phalanx_capsules(hand, poses)[2][:, 2::3]
 
 
+def in_object_frame(run: Run, points: Array) -> Array:
+    """Points (n, k, 3) of the world in the object's frame of each step of the run."""
+    object_from_world = _rotation(run.object_rotation_wxyz).transpose(0, 2, 1)
+    return np.einsum("nab,nkb->nka", object_from_world, points - run.object_position_m[:, None])
+
+
 def shape_in_object(hand: HandModel, poses: Poses, run: Run) -> Shape:
     """The hand's exact shape in the object's frame of each step of the run."""
-    object_from_world = _rotation(run.object_rotation_wxyz).transpose(0, 2, 1)
-
-    def bring(points: Array) -> Array:
-        return np.einsum("nab,nkb->nka", object_from_world, points - run.object_position_m[:, None])
-
     c1, r1, c2, r2 = phalanx_capsules(hand, poses)
     palm = palm_spheres(hand, poses)[..., :3]
-    return Shape(bring(c1), r1, bring(c2), r2, bring(palm), hand.palm_spheres_m[:, 3])
+    c1, c2, palm = (in_object_frame(run, points) for points in (c1, c2, palm))
+    return Shape(c1, r1, c2, r2, palm, hand.palm_spheres_m[:, 3])
 
 
 # ---- against the leaf spheres
