@@ -10,22 +10,30 @@ from pathlib import Path
 from typing import Any
 
 from palmar.errors import BadPack, BadTrace, PalmarError
+from palmar.eval.case import Reference
 from palmar.eval.figures import write_figures
 from palmar.eval.metrics import measure, metrics_json, verdict
 from palmar.eval.page import build_page
 from palmar.eval.panels import Judged, panels
 from palmar.model import load_pack
-from palmar.records import read_run
+from palmar.records import Run, read_run
 
 Progress = Callable[[int, int, str], None]
+SameStart = Callable[[Run, Path], Run]  # a run and its pack -> the converged answer to its steps, each on its own
 OF_A_REPORT = {"index.html", "metrics.json", "figures"}
 
 
 def write_report(
-    runs: list[tuple[Path, Path]], out_dir: str | Path, *, progress: Progress | None = None
+    runs: list[tuple[Path, Path]],
+    out_dir: str | Path,
+    *,
+    progress: Progress | None = None,
+    same_start: SameStart | None = None,
+    references: list[Path] | None = None,
 ) -> dict[str, Any]:
     """Judge runs, each with the pack it was made with, and write a folder of index.html, figures/ and metrics.json.
 
+    What cost_excess is measured against: same_start, and of `references` the run of the same trace on the same pack.
     progress(done, total, what) is called as the work goes on. Returns {"page", "passed", "runs"}, each run {"run",
     "passed", "verdict"}. The folder appears whole or not at all; an earlier report of that name is replaced. Raises
     BadTrace or BadPack if a file breaks its format or a pack is not the one its run names, PalmarError if the folder
@@ -42,10 +50,11 @@ def write_report(
             progress(done, total, what)
         done += 1
 
+    own_ways = {_work_of(run): run for run in map(read_run, references or [])}
     judged = []
     for name, (run_path, pack_path) in zip(run_names(runs), runs, strict=True):
         tell(f"judging {name}")
-        judged.append(judge_run(name, Path(run_path), Path(pack_path)))
+        judged.append(judge_run(name, Path(run_path), Path(pack_path), same_start, own_ways))
     write_folder(judged, out_dir, tell)
     return {
         "page": str(out_dir / "index.html"),
@@ -54,7 +63,18 @@ def write_report(
     }
 
 
-def judge_run(name: str, run_path: Path, pack_path: Path) -> Judged:
+def _work_of(run: Run) -> tuple[str | None, ...]:
+    """What two runs share that answer the same haptic hand, step by step."""
+    return tuple(run.header.get(key) for key in ("pack_sha256", "trace_sha256", "object", "rate_hz", "resample"))
+
+
+def judge_run(
+    name: str,
+    run_path: Path,
+    pack_path: Path,
+    same_start: SameStart | None = None,
+    own_ways: dict[tuple[str | None, ...], Run] | None = None,
+) -> Judged:
     """Read a run and its pack and measure everything that has a metric."""
     run, pack = read_run(run_path), load_pack(pack_path)
     if not len(run.time_s):
@@ -67,7 +87,9 @@ def judge_run(name: str, run_path: Path, pack_path: Path) -> Judged:
     if object_name not in pack.objects:
         message = f"no object {object_name!r} as {run_path.name} names; it has {', '.join(sorted(pack.objects))}"
         raise BadPack("E-PACK-OBJECT", str(pack_path), message)
-    rows, series = measure(run, pack, object_name)
+    reference = Reference(same_start(run, pack_path) if same_start else None, (own_ways or {}).get(_work_of(run)))
+    size = pack_path.stat().st_size
+    rows, series = measure(run, pack, object_name, pack_bytes=size, reference=reference)
     passed, sentence = verdict(rows)
     return Judged(name, run, pack, object_name, rows, series, sentence, passed, {"run": run_path, "pack": pack_path})
 

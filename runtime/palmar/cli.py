@@ -273,17 +273,28 @@ def report(
         list[Path] | None,
         typer.Option("--pack", help="Pack that a run was made with; also looked for beside the run. May be repeated."),
     ] = None,
+    reference: Annotated[
+        list[Path] | None,
+        typer.Option("--reference", help="Run of the same trace to compare the cost with. May be repeated."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Runs -> a page, figures, tables and metrics.json."""
     from palmar.eval.report import write_report
-    from palmar.files import find_packs, require_folder
+    from palmar.files import find_packs, require_file, require_folder
+    from palmar.reference import same_start
     from palmar.terminal import print_json, progress_bar
 
     pairs = find_packs(runs, pack or [])
     require_folder(out)
     with progress_bar(not json) as progress:
-        answer = write_report(pairs, out, progress=lambda done, total, what: progress(what, done / total))
+        answer = write_report(
+            pairs,
+            out,
+            progress=lambda done, total, what: progress(what, done / total),
+            same_start=same_start,
+            references=[require_file(path) for path in reference or []],
+        )
     if json:
         print_json(answer)
     else:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from palmar.reference import same_start
 from palmar.replay import replay_file
 
 # A body with a flat end and a sharp rim, one with concave lobes, one with two ears for fingers to get caught between.
@@ -51,7 +52,12 @@ def make_demo(
 
     pairs = [(Path(run["run"]), pack) for run in runs]
     told = part(0.8, 1.0)
-    judged = write_report(pairs, out_dir / "report", progress=lambda done, total, what: told(what, done / total))
+    judged = write_report(
+        pairs,
+        out_dir / "report",
+        progress=lambda done, total, what: told(what, done / total),
+        same_start=same_start,
+    )
     for verdict in judged["runs"]:
         say(f"verdict {verdict['run']}: {verdict['verdict']}")
     say(f"report  {judged['page']}")
