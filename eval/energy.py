@@ -109,14 +109,14 @@ def energy_lost(case: Case) -> Array:
 
 
 def _loop_ends(case: Case, phase: slice) -> tuple[int, int]:
-    """First step of the loop and the one that closes it: the last of the phase or, at its very end, the next."""
+    """First step of the loop and the one that closes it: that at the phase's end, or the last before."""
     place, rotation, bend = _haptic_in_object(case)
     missed = []
-    for last in range(phase.stop - 1, min(phase.stop + 1, len(place))):
+    for last in (min(phase.stop, len(place) - 1), phase.stop - 1):
         ends = [phase.start, last]
         way = float(np.linalg.norm(np.diff(place[ends], axis=0)))
         turn = max(float(np.linalg.norm(_turns(rotation[ends]))), float(np.abs(np.diff(bend[ends], axis=0)).max()))
         if way <= CLOSED[0] and turn <= CLOSED[1]:
             return phase.start, last
         missed.append(f"{1e3 * way:.3g} mm, {turn:.3g} rad")
-    raise NotMeasured(f"a phase named loop ends {missed[-1]} from where it started")
+    raise NotMeasured(f"a phase named loop ends {missed[0]} from where it started")
