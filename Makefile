@@ -10,20 +10,28 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 CORE := $(wildcard runtime/CMakeLists.txt runtime/*.in runtime/src/* runtime/include/palmar/*)
 MODULES := $(sort $(wildcard runtime/palmar/*.py tools/*.py traces/*.py eval/*.py))
 
-.PHONY: demo test lint format clean names
+.PHONY: demo test fuzz programs lint format clean names
 
 demo: .venv/installed
 	@echo "== demo: built-in objects, a scripted grasp, replay, report"
 	@$(BIN)/palmar demo -o demo
 
-test: .venv/installed
+test: programs
 	@echo "== C++ tests"
-	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/tests -G Ninja -DPALMAR_TESTS=ON -DCMAKE_BUILD_TYPE=Release \
-	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
-	@$(BIN)/cmake --build build/tests -- --quiet
 	@$(BIN)/ctest --test-dir build/tests --output-on-failure
 	@echo "== Python tests"
 	@$(BIN)/python -m pytest
+
+# A million steps of random motion with a fresh seed; `make fuzz FUZZ='--object cup --seconds 600'` for another kind.
+FUZZ ?= --steps 1000000
+fuzz: programs
+	@build/tests/fuzz_step $(FUZZ)
+
+programs: .venv/installed
+	@echo "== C++ tests and measuring programs (build/tests)"
+	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/tests -G Ninja -DPALMAR_TESTS=ON -DCMAKE_BUILD_TYPE=Release \
+	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
+	@$(BIN)/cmake --build build/tests -- --quiet
 
 lint: .venv/linters
 	$(BIN)/ruff check .
