@@ -200,6 +200,76 @@ def test_figures_of_the_model_come_from_the_pack_and_widen_the_mesh_limit(make_p
     assert next(row for row in rows if row["metric"] == "penetration_mesh")["limit"] is None
 
 
+def jumping(make_run, hand, at, phases, **header):
+    """A hand at rest, 2 N at each fingertip, whose force jumps by 0.3 N in the steps `at`."""
+    run = with_forces(held(make_run), hand)
+    force = run.fingertip_force_n.copy()
+    for step in at:
+        force[step:, 0, 2] += 0.3
+    named = [{"name": name, "start_s": start, "end_s": end} for name, start, end in phases]
+    return replace(run, fingertip_force_n=force, header={"phases": json.dumps(named)} | header)
+
+
+def test_recovery_is_the_time_to_the_last_step_outside_a_limit_before_the_next_disturbance(hand, make_pack, make_run):
+    disturbed = [("disturbance", 0.0495, 0.0595), ("disturbance", 0.1195, 0.1295), ("disturbance", 0.1795, 0.1895)]
+    run = jumping(make_run, hand, [55, 60, 72, 100, 125, 130], disturbed)
+    rows, _ = measure(run, make_pack(FAR), "thing")
+    # Step 100 ends 41.5 ms after the first disturbance, 130 1.5 ms after the second; nothing follows the third.
+    assert value(rows, "recovery", "max") == pytest.approx(41.5, abs=1e-9)
+    rows, _ = measure(jumping(make_run, hand, [30, 55], disturbed), make_pack(FAR), "thing")
+    assert value(rows, "recovery", "max") == 0
+    rows, _ = measure(jumping(make_run, hand, [30], []), make_pack(FAR), "thing")
+    assert "disturbance" in value(rows, "recovery", "max")
+
+
+def test_a_limit_of_the_scene_takes_the_place_of_the_default_and_its_reason_is_kept(hand, make_pack, make_run):
+    own = {
+        "excess_force_step max": {"limit": 0.5, "reason": "an edge"},
+        "still_force_step max": {"limit": None, "reason": "a fault is planted"},
+        "recovery max": {"limit": 20, "reason": "a tenth of a blink"},
+    }
+    trace = json.dumps({"limits": json.dumps(own)})
+    run = jumping(make_run, hand, [100], [("disturbance", 0.05, 0.09)], trace_header=trace)
+    rows, _ = measure(run, make_pack(FAR), "thing")
+    by_key = {f"{row['metric']} {row['stat']}": row for row in rows}
+    assert [by_key[key]["limit"] for key in own] == [0.5, None, 20]
+    assert [by_key[key]["reason_limit"] for key in own] == ["an edge", "a fault is planted", "a tenth of a blink"]
+    assert by_key["excess_force_step max"]["margin_db"] == pytest.approx(20 * np.log10(0.5 / 0.3), abs=1e-9)
+    assert by_key["recovery max"]["value"] == 0  # by the scene's limits, not the default ones
+    assert "reason_limit" not in by_key["hover p99"]
+    assert verdict(rows)[0]
+
+
+@pytest.mark.parametrize("text", ["[]", "{", '{"hover p99": 1}', '{"hover p99": {"limit": "x", "reason": ""}}'])
+def test_limits_that_cannot_be_read_are_refused(make_pack, make_run, text):
+    run = make_run(3, palm_position_m=away(3), header={"trace_header": json.dumps({"limits": text})})
+    with pytest.raises(BadTrace, match="limits"):
+        measure(run, make_pack(FAR), "thing")
+
+
+def test_only_the_metrics_asked_for_are_worked_out(make_pack, make_run):
+    run = make_run(20, palm_position_m=away(20))
+    rows, series = measure(run, make_pack(FAR), "thing", only=("palm_offset", "wrong_side"))
+    assert {row["metric"] for row in rows} == set(series) == {"palm_offset", "wrong_side"}
+    assert verdict(rows) == (True, "Keeps all 1 limits: wrong_side sum 0 steps; worst margin without bound (wrong_side "
+                             "sum). Beside it: palm_offset p99 0 mm.")  # fmt: skip
+
+
+def test_the_budget_of_operations_is_a_limit_where_the_solver_has_one(make_pack, make_run):
+    used = np.array([10, 20, 30], dtype=np.uint32)
+    run = make_run(3, palm_position_m=away(3), operations=used)
+    for settings, limit in (({}, None), ({"operations": 25}, 25)):
+        rows, _ = measure(replace(run, header={"settings": json.dumps(settings)}), make_pack(FAR), "thing")
+        row = next(row for row in rows if (row["metric"], row["stat"]) == ("step_operations", "max"))
+        assert (row["value"], row["limit"]) == (30, limit)
+
+
+def test_bytes_are_those_of_the_pack_file(make_pack, make_run):
+    run = make_run(3, palm_position_m=away(3))
+    assert value(measure(run, make_pack(FAR), "thing", pack_bytes=12345)[0], "bytes", "value") == 12345
+    assert "not a file" in value(measure(run, make_pack(FAR), "thing")[0], "bytes", "value")
+
+
 def test_margin_is_in_decibels_and_the_worst_one_is_named():
     assert margin_db(0.1, 1.0) == pytest.approx(20)
     assert margin_db(0.0, 1.0) is None and margin_db(1.0, 0.0) is None and margin_db(1.0, None) is None
