@@ -26,6 +26,7 @@ constexpr double kDeepest = 1e-6;      // metres that pass as rounding
 constexpr double kLongestFreeze = 20;  // milliseconds
 constexpr int kBruteEveryStep = 3000;  // spheres; above, every tenth step is judged, and every unusual one
 constexpr std::uint32_t kUnusual = kRecovering | kKeptPrevious | kBadSample;
+constexpr double kLimitRounding = 1e-7;  // rad; a programme meets bounds to 1e-9 m at 50 mm
 constexpr double kDegrees = 180 / M_PI;
 
 struct Options {
@@ -47,6 +48,7 @@ struct Figures {
 };
 
 using Random = std::mt19937_64;
+using Clock = std::chrono::steady_clock;
 
 double uniform(Random& rng, double low, double high) { return std::uniform_real_distribution<double>(low, high)(rng); }
 
@@ -149,17 +151,17 @@ bool finite(const StepResult& r) {
   return std::isfinite(sum);
 }
 
-bool within_limits(const HandModel& hand, const HandPose& pose) {
-  constexpr double kRounding = 1e-9;  // rad
-  const auto outside = [](double angle, const std::array<double, 2>& limit) {
-    return angle < limit[0] - kRounding || angle > limit[1] + kRounding;
+// How far an angle lies outside its limits, rad; 0 for none.
+double beyond_limits(const HandModel& hand, const HandPose& pose) {
+  double most = 0;
+  const auto look = [&](double angle, const std::array<double, 2>& limit) {
+    most = std::max({most, limit[0] - angle, angle - limit[1]});
   };
   for (int f = 0; f < kFingers; ++f) {
-    if (outside(pose.abduction_rad[f], hand.finger[f].abduction_limit)) return false;
-    for (int j = 0; j < kPhalanges; ++j)
-      if (outside(pose.flexion_rad[3 * f + j], hand.finger[f].flexion_limit[j])) return false;
+    look(pose.abduction_rad[f], hand.finger[f].abduction_limit);
+    for (int j = 0; j < kPhalanges; ++j) look(pose.flexion_rad[3 * f + j], hand.finger[f].flexion_limit[j]);
   }
-  return true;
+  return most;
 }
 
 // How much more than the haptic joint, and than one degree, a joint moved in the step.
@@ -174,7 +176,7 @@ double joint_excess_deg(const StepResult& before, const StepResult& now) {
 }
 
 void run_episode(const HandModel& hand, const std::vector<Sphere>& leaves, const made::BruteForce& brute,
-                 const Settings& settings, const std::vector<Sample>& samples, Figures& all) {
+                 const Settings& settings, std::vector<Sample> samples, Clock::time_point deadline, Figures& all) {
   const std::size_t first = all.us.size();
   std::vector<std::uint64_t> hashes;
   double frozen_since = -1;
@@ -182,6 +184,8 @@ void run_episode(const HandModel& hand, const std::vector<Sphere>& leaves, const
     Session session(hand, leaves, settings);
     StepResult before;
     for (std::size_t i = 0; i < samples.size(); ++i) {
+      if (i > 0 && Clock::now() > deadline) samples.resize(i);
+      if (i == samples.size()) break;
       const double start = made::thread_us();
       const StepResult& r = session.step(samples[i]);
       all.us.push_back(made::thread_us() - start);
@@ -191,7 +195,9 @@ void run_episode(const HandModel& hand, const std::vector<Sphere>& leaves, const
       if (r.operations > all.most_operations) all.most_operations = r.operations, all.most_operations_step = step;
 
       if (!finite(r)) ++all.not_finite;
-      if (!within_limits(hand, r.graphic)) ++all.over_limit;
+      const double beyond = beyond_limits(hand, r.graphic);
+      if (beyond > kLimitRounding && all.over_limit++ < 3)
+        std::printf("  step %ld: %.3g rad over a joint limit, status %u\n", step, beyond, r.status);
       if (i > 0) all.joint_excess_deg = std::max(all.joint_excess_deg, joint_excess_deg(before, r));
       before = r;
 
@@ -237,14 +243,19 @@ bool run(const Options& options, const HandModel& hand, const Settings& settings
   Random rng(seed);
   const std::vector<Sphere> leaves = made::object(name, spheres, uniform(rng, 0.012, 0.016));
   const made::BruteForce brute(leaves);
-  const auto begin = std::chrono::steady_clock::now();
-  const auto spent = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count(); };
+  // Of the time allowed, two thirds for the first run of an episode and one for the second.
+  const auto begin = Clock::now();
+  const auto end_after = [&](double share) {
+    return steps > 0
+               ? Clock::time_point::max()
+               : begin + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(share * seconds));
+  };
   Figures f;
   do {
     std::vector<Sample> samples = episode(rng, hand, leaves);
     if (steps > 0) samples.resize(std::min(samples.size(), std::size_t(steps - f.steps)));
-    run_episode(hand, leaves, brute, settings, samples, f);
-  } while (steps > 0 ? f.steps < steps : spent() < seconds);
+    run_episode(hand, leaves, brute, settings, std::move(samples), end_after(0.67), f);
+  } while (steps > 0 ? f.steps < steps : Clock::now() < end_after(0.67));
 
   std::printf("%-5s %6d %8ld %8ld %5.1f %9.6f %5ld %4ld %4ld %5ld %6.1f %6.2f %7.1f %7.1f %7.1f %8.1f %8u\n",
               name.c_str(), spheres, f.steps, f.judged, 100.0 * double(f.in_contact) / double(f.steps),
