@@ -6,6 +6,7 @@ Steps and pairs are left out only where a bound proves that they cannot matter.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ from palmar.records import Run
 Array = NDArray[np.float64]
 STRIDES = (32, 4, 1)  # steps between judged steps; what lies between is skipped where a bound allows it
 PAIRS = 100_000  # pairs held at once
+FIRST_PAIRS = 32  # of a link, looked at before any other
 BLOCK = 4096  # steps held at once
 TOLERANCE_M = 2e-7  # of gaps to the mesh: 500 times below the paper's depth of 0.1 mm
 SWEEP_M = 1e-3  # between the points of an axis that are followed from step to step
@@ -170,7 +172,7 @@ def sphere_gap(shape: Shape, leaves: Array, band_m: float = 1e-3, reach_m: float
     """Least signed gap of the whole hand to any leaf sphere, each step: (n,) metres; exact below band_m, else band_m.
 
     leaves: (m, 4) in the object's frame. A link is compared with the leaves within band + reach of it until it has
-    moved by reach: until then every other leaf is farther than band.
+    moved by reach: until then every other leaf is farther than band. Of those only the ones that may be nearest count.
     """
     least = np.full(len(shape.c1), band_m)
     centres, radii = leaves[:, :3], leaves[:, 3]
@@ -180,14 +182,15 @@ def sphere_gap(shape: Shape, leaves: Array, band_m: float = 1e-3, reach_m: float
 
     for k in range(15):
         c1, c2, r1, r2 = shape.c1[:, k], shape.c2[:, k], shape.r1[k], shape.r2[k]
+        ends = np.stack([c1, c2], axis=1)
         start = 0
         while start < len(least):
             near = np.array(tree.query_ball_point(0.5 * (c1[start] + c2[start]), half[k] + far), dtype=np.int64)
             gaps = capsule_point_gap(c1[start], r1, c2[start], r2, centres[near]) - radii[near]
-            near = near[gaps < band_m + reach_m]
-            end = _until_moved(start, reach_m, c1[:, None], c2[:, None])
-            for at in _chunks(start, end, len(near)):
-                gap = capsule_point_gap(c1[at, None], r1, c2[at, None], r2, centres[near]) - radii[near]
+            end = _until_moved(start, reach_m, ends)
+            for at, pairs in _that_may_matter(least, gaps, ends, start, end):
+                leaf = near[pairs]
+                gap = capsule_point_gap(c1[at, None], r1, c2[at, None], r2, centres[leaf]) - radii[leaf]
                 least[at] = np.minimum(least[at], gap.min(axis=1))
             start = end
 
@@ -197,29 +200,40 @@ def sphere_gap(shape: Shape, leaves: Array, band_m: float = 1e-3, reach_m: float
         ball = np.repeat(np.arange(len(near)), [len(found) for found in near])
         leaf = np.array([i for found in near for i in found], dtype=np.int64)
         reach = shape.palm_radius[ball] + radii[leaf]
-        keep = _norm(shape.palm[start, ball] - centres[leaf]) - reach < band_m + reach_m
-        ball, leaf, reach = ball[keep], leaf[keep], reach[keep]
+        gaps = _norm(shape.palm[start, ball] - centres[leaf]) - reach
         end = _until_moved(start, reach_m, shape.palm)
-        for at in _chunks(start, end, len(leaf)):
-            gap = _norm(shape.palm[at, ball] - centres[leaf]) - reach
+        for at, pairs in _that_may_matter(least, gaps, shape.palm, start, end):
+            gap = _norm(shape.palm[at[:, None], ball[pairs]] - centres[leaf[pairs]]) - reach[pairs]
             least[at] = np.minimum(least[at], gap.min(axis=1))
         start = end
     return least
 
 
-def _until_moved(start: int, reach: float, *points: Array) -> int:
+def _that_may_matter(
+    least: Array, gaps: Array, points: Array, start: int, end: int
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Steps from start to end and pairs to look at together, the nearest pairs first; `least` may fall on the way.
+
+    gaps: of the pairs at start. A pair whose link has moved by m since then has a gap of at least its first less m.
+    """
+    moved = _norm(points[start:end] - points[start]).max(axis=1)
+    nearest_first = np.argsort(gaps)
+    done, size = 0, FIRST_PAIRS
+    while done < len(gaps):
+        at = start + np.flatnonzero(gaps[nearest_first[done]] - moved < least[start:end])
+        if not len(at):
+            return
+        pairs = nearest_first[done : done + size]
+        rows = max(1, PAIRS // len(pairs))
+        for i in range(0, len(at), rows):
+            yield at[i : i + rows], pairs
+        done, size = done + size, 2 * size
+
+
+def _until_moved(start: int, reach: float, points: Array) -> int:
     """First step after start, at most 500 on, by which any of the points (n, k, 3) has left its place by over reach."""
-    window = slice(start, start + 500)
-    over = np.zeros(len(points[0][window]), dtype=bool)
-    for each in points:
-        over |= (_norm(each[window] - each[start]) > reach).any(axis=1)
+    over = (_norm(points[start : start + 500] - points[start]) > reach).any(axis=1)
     return start + (int(np.argmax(over)) if over.any() else len(over))
-
-
-def _chunks(start: int, end: int, width: int) -> list[slice]:
-    """Steps start to end in slices of at most PAIRS pairs; none if there is nothing to compare."""
-    rows = max(1, PAIRS // max(width, 1))
-    return [slice(i, min(i + rows, end)) for i in range(start, end, rows)] if width else []
 
 
 def penetration_spheres(pack: AssetPack, run: Run, object_name: str) -> Array:
