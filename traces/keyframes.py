@@ -254,8 +254,8 @@ def random_keys(scene: RandomScene, generator: np.random.Generator) -> list[Key]
         passed = scene.lasts_s if scene.lasts_s - passed - after < 1e-6 else passed + after
         turn = Rotation.from_rotvec(generator.uniform(-scene.turn_rad, scene.turn_rad, 3)) * middle
         jumps = generator.random() < scene.jump_share
-        flexion = generator.uniform(*scene.flexion_rad, (5, 3))
-        abduction = generator.uniform(*scene.abduction_rad, 5)
+        flexion = generator.uniform(scene.flexion_rad[0], scene.flexion_rad[1], (5, 3))
+        abduction = generator.uniform(scene.abduction_rad[0], scene.abduction_rad[1], 5)
         keys.append(
             Key(
                 after_s=after,
@@ -271,7 +271,7 @@ def random_keys(scene: RandomScene, generator: np.random.Generator) -> list[Key]
 
 def _keys(scene: Sampled) -> list[Key]:
     assert isinstance(scene, KeysScene)
-    return scene.key
+    return [scene.key[0], *scene.key[1:] * scene.repeat]
 
 
 def _point(key: Key, before: Array) -> Array:

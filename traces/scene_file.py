@@ -121,9 +121,10 @@ class Sampled(Strict):
     noise: Noise = Noise()
     settings: dict[str, str | int | float] = {}
     limits: dict[str, Limit] = {}
+    metrics: list[str] = []  # whose limits this scene is about, beside penetration_spheres and frozen_steps
     figures: list[str] = []  # numbers to print, METRIC STAT
-    mesh: bool = True  # judged against the true mesh too
     far_side: list[Region] = []
+    same_end_force_n: float | None = Field(default=None, ge=0.0)  # how far the last forces of its cases may differ
     sweep: list[dict[str, list[Any]]] = []
 
 
@@ -132,6 +133,7 @@ class KeysScene(Sampled):
 
     kind: Literal["keys"]
     key: list[Key] = Field(min_length=2)
+    repeat: int = Field(default=1, ge=1, le=1000)  # of all keys but the first
 
 
 class RandomScene(Sampled):
@@ -226,6 +228,8 @@ def _short(place: str) -> str:
 
 
 def _say(value: Any) -> str:
+    if isinstance(value, dict):
+        return " ".join(_say(part) for part in value.values() if not isinstance(part, list))
     return f"{value:g}" if isinstance(value, float) else str(value).replace(" ", "")
 
 

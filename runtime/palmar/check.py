@@ -1,0 +1,250 @@
+"""The `check` verb: scenes -> objects, traces, runs, and whether every limit holds. It knows all stages, as `demo`."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from palmar.errors import PalmarError
+from palmar.eval.metrics import margin_db, measure, worst_margin
+from palmar.eval.table import METRICS
+from palmar.files import nearest
+from palmar.model import AssetPack, HandModel, SphereTree, load_pack, save_pack, write_whole
+from palmar.records import Run, read_run, write_trace
+from palmar.replay import replay_file
+from palmar.tools.hand_file import default_hand
+from palmar.tools.lattice import lattice_object
+from palmar.tools.pack import SHAPE, Source, build_object
+from palmar.traces.keyframes import key_trace
+from palmar.traces.scene_file import Sampled, cases_of, check_scene
+from palmar.traces.scripted import SCENES, load_scene
+
+CHECK_SCHEMA = "palmar.check/1"
+QUICK_STARTS = 2
+ALWAYS = ("penetration_spheres", "frozen_steps")  # the metrics that every scene is about
+
+Row = dict[str, Any]
+
+
+@dataclass
+class Tally:
+    """What the replays of one scene by one solver came to."""
+
+    scene: str
+    id: str
+    solver: str
+    runs: int = 0
+    steps: int = 0
+    failed: int = 0
+    margin_db: float = float("inf")
+    worst: Row | None = None  # the row that sets the margin, with its case and start
+    fails: dict[str, Row] = field(default_factory=dict)  # METRIC STAT -> its worst row, with the number of runs
+    figures: dict[str, float] = field(default_factory=dict)  # METRIC STAT -> the largest value
+    contact_steps: dict[str, int] = field(default_factory=dict)  # of each case
+    end_force_n: list[list[float]] = field(default_factory=list)  # of each run, the last on each fingertip
+
+    @property
+    def passed(self) -> bool:
+        return self.worst is not None and not self.fails and not self.untouched
+
+    @property
+    def untouched(self) -> list[str]:
+        """Cases in which the hand never met the object: they would show nothing."""
+        return [case for case, steps in self.contact_steps.items() if not steps]
+
+    def see(self, run: Run, case: str) -> None:
+        """Count a run's steps and contacts, whatever its metrics say."""
+        self.runs, self.steps = self.runs + 1, self.steps + len(run.time_s)
+        self.contact_steps[case] = self.contact_steps.get(case, 0) + int((run.contacts > 0).sum())
+        self.end_force_n.append(np.linalg.norm(run.fingertip_force_n[-1], axis=1).tolist())
+
+    def compare_ends(self, limit_n: float) -> None:
+        """Add how far the last forces of the runs are from those of the first, as a number with a limit."""
+        spread = float(np.abs(np.array(self.end_force_n) - self.end_force_n[0]).max())
+        row = {"metric": "end_force", "stat": "spread", "unit": "N", "value": spread, "limit": limit_n}
+        self.take([{**row, "margin_db": margin_db(spread, limit_n)}], "all", 0, ["end_force spread"])
+
+    def take(self, rows: list[Row], case: str, start: int, asked: Sequence[str]) -> bool:
+        """Add the rows of one run; whether it set a new worst margin."""
+        at = {"case": case, "start": start}
+        above = [row for row in rows if row["limit"] is not None and row["value"] > row["limit"]]
+        self.failed += bool(above)
+        for row in above:
+            name = f"{row['metric']} {row['stat']}"
+            before = self.fails.get(name)
+            worse = before is None or row["value"] / max(row["limit"], 1e-9) > before["value"] / max(
+                before["limit"], 1e-9
+            )
+            runs = before["runs"] + 1 if before else 1
+            self.fails[name] = {**({**row, **at} if before is None or worse else before), "runs": runs}
+        for row in rows:
+            name = f"{row['metric']} {row['stat']}"
+            if name in asked and row["value"] is not None:
+                self.figures[name] = max(row["value"], self.figures.get(name, row["value"]))
+        score = worst_margin(rows)
+        if score is None or (self.worst is not None and score[0] >= self.margin_db):
+            return False
+        self.margin_db, self.worst = score[0], {**score[1], **at}
+        return True
+
+    def line(self) -> str:
+        """One line for a person: what held by how much, or what failed where."""
+        touched = sum(self.contact_steps.values()) / max(self.steps, 1)
+        head = f"{self.id:<4} {self.scene:<20} {self.solver:<12} {self.runs:>4} runs, {touched:>3.0%} contact "
+        if self.worst is None:
+            return f"{head} nothing that has a limit could be measured"
+        if self.fails:
+            parts = [_say_fail(name, row) for name, row in self.fails.items()]
+            said = f"FAILS {self.failed}: " + "; ".join(parts)
+        elif self.untouched:
+            said = f"FAILS: no contact in {len(self.untouched)} cases ({self.untouched[0]})"
+        else:
+            said = f"{_decibels(self.margin_db)} {self.worst['metric']} {self.worst['stat']} {_say_value(self.worst)}"
+        shown = ", ".join(f"{name} {value:.4g}" for name, value in self.figures.items())
+        return f"{head} {said}{f' | {shown}' if shown else ''}"
+
+
+def check_scenes(
+    scenes: Sequence[str],
+    *,
+    solvers: Sequence[str] = ("progressive",),
+    settings: dict[str, Any] | None = None,
+    quick: bool = False,
+    out: Path | None = None,
+    progress: Callable[[str, float], None] = lambda text, fraction: None,
+    say: Callable[[str], None] = lambda line: None,
+) -> dict[str, Any]:
+    """Replay every case and start of every scene by every solver and judge each run; one run is held at a time.
+
+    scenes: names or TOML files; none for all of the suite. settings go over those of the scenes. quick: the first case
+    and two starts. out: a folder for check.json and, of each scene, the pack, trace and run of the worst margin.
+    Returns schema, passed, scenes. Raises PalmarError, BadPack, BadTrace.
+    """
+    names = list(scenes) or suite()
+    loaded = [load_scene(name) for name in names]
+    for (keys, where, _), name in zip(loaded, names, strict=True):
+        if keys["kind"] == "grasp":
+            raise PalmarError("E-CONF", str(where), f"{name} is made for the object of a pack; script and replay it")
+    hand = default_hand()
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    tallies: list[Tally] = []
+    built: dict[str, SphereTree] = {}  # shapes that take long to build, by what was asked
+    with tempfile.TemporaryDirectory(prefix="palmar-check-") as folder:
+        for number, (keys, where, _) in enumerate(loaded):
+            cases = cases_of(keys, where.name)[: 1 if quick else None]
+            of_scene = {solver: Tally(where.stem, keys["id"], solver) for solver in solvers}
+            for done, (case, table) in enumerate(cases):
+                progress(f"{where.stem} {case}", (number + done / len(cases)) / len(loaded))
+                scene = check_scene(table, where.name)
+                assert isinstance(scene, Sampled)
+                _require_known(scene, where)
+                pack = make_pack(Path(folder), scene, hand, built)
+                for tally in of_scene.values():
+                    _run_case(Path(folder), pack, scene, case, tally, settings or {}, quick, out)
+            if scene.same_end_force_n is not None:
+                for tally in of_scene.values():
+                    tally.compare_ends(scene.same_end_force_n)
+            tallies += of_scene.values()
+            for tally in of_scene.values():
+                say(tally.line())
+    answer = {
+        "schema": CHECK_SCHEMA,
+        "passed": all(tally.passed for tally in tallies),
+        "scenes": [_told(tally) for tally in tallies],
+    }
+    if out is not None:
+        write_whole(out / "check.json", json.dumps(answer, indent=1).encode())
+    return answer
+
+
+def suite() -> list[str]:
+    """The scenes of the stability suite: all that stand for themselves, by name."""
+    names = sorted(path.stem for path in SCENES.glob("*.toml"))
+    return [name for name in names if load_scene(name)[0]["kind"] != "grasp"]
+
+
+def make_pack(folder: Path, scene: Sampled, hand: HandModel, built: dict[str, SphereTree]) -> Path:
+    """A pack of the hand and the scene's object; a shape of the builder's is built once and kept in `built`."""
+    table = dict(scene.object)
+    kind = str(table.get("kind", ""))
+    if kind.startswith(SHAPE):
+        asked = json.dumps(table, sort_keys=True)
+        if asked not in built:
+            source = Source("object", kind, spheres=int(table.get("spheres", 500)), size_mm=table.get("size_mm"))
+            built[asked], _ = build_object(source, 0, lambda text, fraction: None)
+        tree = built[asked]
+    else:
+        tree = lattice_object(table, "object")
+    path = folder / "object.pack"
+    save_pack(path, AssetPack(hand, {"object": tree}, {"tools": {}, "seed": 0}))
+    return path
+
+
+def _run_case(
+    folder: Path,
+    pack_path: Path,
+    scene: Sampled,
+    case: str,
+    tally: Tally,
+    settings: dict[str, Any],
+    quick: bool,
+    out: Path | None,
+) -> None:
+    pack = load_pack(pack_path)
+    trace, run_path = folder / "scene.mcap", folder / "scene.run.mcap"
+    about = {*ALWAYS, *scene.metrics}
+    only = about | {name.split()[0] for name in scene.figures}
+    chosen = {"resample": "hold", "rate_hz": scene.rate_hz, **scene.settings, **settings, "solver": tally.solver}
+    for start in range(min(scene.starts, QUICK_STARTS) if quick else scene.starts):
+        samples = key_trace(scene, pack.hand, start)
+        samples.header.update(scene=tally.scene, object="object", case=case)
+        write_trace(trace, samples)
+        replay_file(pack_path, trace, run_path, object_name="object", settings=chosen)
+        run = read_run(run_path)
+        rows, _ = measure(run, pack, "object", only=only)
+        rows = [row if row["metric"] in about else {**row, "limit": None, "margin_db": None} for row in rows]
+        tally.see(run, case)
+        if tally.take(rows, case, start, scene.figures) and out is not None:
+            for path, ending in ((pack_path, "pack"), (trace, "mcap"), (run_path, "run.mcap")):
+                shutil.copyfile(path, out / f"{tally.scene}-{tally.solver}.{ending}")
+
+
+def _require_known(scene: Sampled, where: Path) -> None:
+    """Raise PalmarError E-CONF for a limit or a figure of a number that there is not."""
+    known = [f"{metric.name} {stat.name}" for metric in METRICS for stat in metric.stats]
+    for key, names in (("limits", scene.limits), ("figures", scene.figures)):
+        for name in names:
+            if name not in known:
+                raise PalmarError(
+                    "E-CONF", f"{where}:{key}", f"{name!r} is no number of a metric{nearest(name, known)}"
+                )
+
+
+def _told(tally: Tally) -> dict[str, Any]:
+    """A tally as JSON; a margin without bound is null."""
+    told = dict(vars(tally))
+    told["margin_db"] = tally.margin_db if abs(tally.margin_db) < float("inf") else None
+    told["passed"], told["untouched"] = tally.passed, tally.untouched
+    del told["end_force_n"]
+    return told
+
+
+def _say_fail(name: str, row: Row) -> str:
+    where = ", ".join(part for part in (row["case"], f"start {row['start']}") if part)
+    return f"{name} {_say_value(row)} above {row['limit']:.4g} in {row['runs']} ({where})"
+
+
+def _say_value(row: Row) -> str:
+    return f"{row['value']:.4g}{'' if row['unit'] == '1' else ' ' + row['unit']}"
+
+
+def _decibels(margin: float) -> str:
+    return f"{margin:+.1f} dB" if abs(margin) < float("inf") else "no limit reached,"
