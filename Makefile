@@ -1,5 +1,6 @@
-# Two commands: `make demo` and `make test`. Each sets up all that it needs, in .venv and build/, with nothing on the machine but
-# Python 3.11 (with its headers), make and a C++20 compiler. `make PYTHON=python3.12 test` takes another Python.
+# Two commands: `make demo` and `make test`; `make bench` and `make fuzz` measure. Each sets up all that it needs, in .venv and build/,
+# with nothing on the machine but Python 3.11 (with its headers), make and a C++20 compiler. `make PYTHON=python3.12 test` takes
+# another Python.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -10,7 +11,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 CORE := $(wildcard runtime/CMakeLists.txt runtime/*.in runtime/src/* runtime/include/palmar/*)
 MODULES := $(sort $(wildcard runtime/palmar/*.py tools/*.py traces/*.py eval/*.py))
 
-.PHONY: demo test fuzz programs lint format clean names
+.PHONY: demo test fuzz bench programs lint format clean names
 
 demo: .venv/installed
 	@echo "== demo: built-in objects, a scripted grasp, replay, report"
@@ -26,6 +27,11 @@ test: programs
 FUZZ ?= --steps 1000000
 fuzz: programs
 	@build/tests/fuzz_step $(FUZZ)
+
+# What a step costs. `make bench BENCH='--scene ears --set iterations=2'`; more arguments stand at the top of its source.
+BENCH ?=
+bench: programs
+	@build/tests/bench_step $(BENCH)
 
 programs: .venv/installed
 	@echo "== C++ tests and measuring programs (build/tests)"

@@ -37,6 +37,36 @@ inline HandModel hand() {
   return h;
 }
 
+// The hand of the reference scenario (docs/formats.md names its axes): a palm of 99 balls, phalanges of one radius
+// each.
+inline HandModel reference_hand() {
+  HandModel h;
+  for (int i = 0; i < 9; ++i)
+    for (int j = 0; j < 11; ++j) h.palm.push_back({Vec3(-0.036 + 0.009 * i, 0.004 + 0.008 * j, 0), 0.011});
+  const double base[5][3] = {{28, 22, -6}, {28, 88, 0}, {9.5, 92, 0}, {-9.5, 87, 0}, {-28, 78, 0}};
+  const double length[5][3] = {{44, 34, 27}, {42, 25, 22}, {46, 29, 23}, {42, 27, 23}, {33, 20, 20}};
+  const double radius[5][3] = {{11, 10, 8.5}, {9, 8, 7}, {9, 8, 7}, {9, 8, 7}, {8, 7, 6}};
+  for (int f = 0; f < kFingers; ++f) {
+    Finger& finger = h.finger[f];
+    const Vec3 along = f == 0 ? Vec3(0.70, 0.62, -0.35).normalized() : Vec3(0, 1, 0);
+    const Vec3 axis = f == 0 ? along.cross(Vec3(-0.75, 0.15, -0.65)).normalized() : Vec3(-1, 0, 0);
+    Vec3 joint = 1e-3 * Vec3(base[f][0], base[f][1], base[f][2]);
+    finger.abduction_axis = along.cross(axis).normalized();
+    finger.abduction_limit = {-1, 1};
+    for (int j = 0; j < kPhalanges; ++j) {
+      const Vec3 end = joint + 1e-3 * length[f][j] * along;
+      finger.joint[j] = joint;
+      finger.flexion_axis[j] = axis;
+      finger.phalanx[j] = capsule_of_frustum(joint, end, 1e-3 * radius[f][j], 1e-3 * radius[f][j]);
+      finger.flexion_limit[j] = {-3, 3};
+      finger.stiffness[j] = 0.5;
+      joint = end;
+    }
+  }
+  h.finish();
+  return h;
+}
+
 // Leaves on the skin of a ball, spaced evenly (golden spiral).
 inline std::vector<Sphere> ball(int count, double radius, double leaf) {
   std::vector<Sphere> spheres;
