@@ -33,7 +33,9 @@ def _excess(case: Case, reference: Run | None) -> Array:
         raise NotMeasured(f"the reference has {len(reference.time_s)} steps, the run {len(run.time_s)}")
     known = np.isfinite(reference.palm_position_m).all(axis=1) & ~case.has_status("bad_sample")
     if not known.any():
-        raise NotMeasured("the reference has no step of the run")
+        raise NotMeasured(
+            "the reference has no answer: no step has a force, or too many start from a pose that sinks in"
+        )
     at = np.flatnonzero(known)
     haptic = haptic_poses(run)[at]
     best = spring_energy(hand, graphic_poses(reference)[at], haptic, abduction=True)

@@ -110,8 +110,8 @@ def verdict(rows: list[Row]) -> tuple[bool, str]:
 
 
 def _beside(rows: list[Row]) -> str:
-    """What penetration is not to be read without: the model's error, the lag, the freezes."""
-    of = (("gap", "max"), ("palm_offset", "p99"), ("frozen_steps", "sum"))
+    """What penetration is not to be read without: the model's error, the lag, its cost, the freezes."""
+    of = (("gap", "max"), ("palm_offset", "p99"), ("cost_excess", "mean"), ("frozen_steps", "sum"))
     found = [_say(row) for key in of for row in rows if (row["metric"], row["stat"]) == key]
     return f"Beside it: {', '.join(found)}." if found else ""
 

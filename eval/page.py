@@ -24,6 +24,7 @@ OVERVIEW = (
     ("penetration_mesh", "max"),
     ("hover", "p99"),
     ("palm_offset", "p99"),
+    ("cost_excess", "mean"),
     ("force_variation", "mean"),
     ("force_variation_ratio", "mean"),
     ("excess_force_step", "max"),
@@ -222,6 +223,10 @@ def metrics_table(rows: list[dict[str, Any]]) -> str:
         metric, limit = row["metric"], row.get("limit")
         again = metric == previous
         reason = f" <em>Not measured: {escape(row['reason'])}.</em>" if row.get("reason") else ""
+        if row.get("reason_limit"):
+            reason += (
+                f" <em>Limit of the scene{'' if limit is not None else ', none'}: {escape(row['reason_limit'])}.</em>"
+            )
         cells = [
             f'<td class="name">{"" if again else escape(metric)}</td>',
             f"<td>{escape(row['stat'])}</td>",
@@ -255,11 +260,11 @@ def unit_text(unit: str) -> str:
 
 
 def number_text(value: float | None) -> str:
-    """A number to four digits; a dash where nothing could be measured. Zero is a number."""
+    """A number to four digits, a count whole; a dash where nothing could be measured. Zero is a number."""
     if value is None or not np.isfinite(value):
         return "&ndash;"
-    if value == 0:
-        return "0"
+    if value == int(value) and abs(value) < 1e9:
+        return f"{int(value):,}"
     text = f"{value:.4g}"
     if "e" in text:
         digits, exponent = text.split("e")

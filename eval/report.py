@@ -36,8 +36,8 @@ def write_report(
     What cost_excess is measured against: same_start, and of `references` the run of the same trace on the same pack.
     progress(done, total, what) is called as the work goes on. Returns {"page", "passed", "runs"}, each run {"run",
     "passed", "verdict"}. The folder appears whole or not at all; an earlier report of that name is replaced. Raises
-    BadTrace or BadPack if a file breaks its format or a pack is not the one its run names, PalmarError if the folder
-    holds anything but a report.
+    BadTrace or BadPack if a file breaks its format, a pack is not the one its run names or a reference is of no run,
+    PalmarError if the folder holds anything but a report.
     """
     out_dir = Path(out_dir)
     check_folder(out_dir)
@@ -50,7 +50,7 @@ def write_report(
             progress(done, total, what)
         done += 1
 
-    own_ways = {_work_of(run): run for run in map(read_run, references or [])}
+    own_ways = _own_ways(references or [], [Path(run) for run, _ in runs])
     judged = []
     for name, (run_path, pack_path) in zip(run_names(runs), runs, strict=True):
         tell(f"judging {name}")
@@ -61,6 +61,19 @@ def write_report(
         "passed": all(one.passed for one in judged),
         "runs": [{"run": one.name, "passed": one.passed, "verdict": one.verdict} for one in judged],
     }
+
+
+def _own_ways(references: list[Path], runs: list[Path]) -> dict[tuple[str | None, ...], Run]:
+    """Reference runs by what they answer. Raises BadTrace if one is of none of the runs."""
+    asked = {_work_of(read_run(path)) for path in runs} if references else set()
+    found = {}
+    for path in references:
+        run = read_run(path)
+        if _work_of(run) not in asked:
+            message = "a run of another trace, pack, object, rate or resampling than every run to judge"
+            raise BadTrace("E-RUN-REFERENCE", str(path), message)
+        found[_work_of(run)] = run
+    return found
 
 
 def _work_of(run: Run) -> tuple[str | None, ...]:

@@ -182,6 +182,22 @@ def test_a_run_without_its_pack_is_not_reported(run, files, tmp_path):
     assert not (tmp_path / "r").exists()
 
 
+def test_a_reference_of_another_trace_is_not_taken(run, files, tmp_path):
+    shorter = read_trace(files / "whole.mcap")
+    columns = {
+        name: getattr(shorter, name)[:100] for name in shorter.__dataclass_fields__ if name not in ("header", "lost")
+    }
+    write_trace(tmp_path / "short.mcap", Trace(header=shorter.header, **columns))
+    run("replay", files / "cube.pack", files / "whole.mcap", "-o", "a.run.mcap")
+    run("replay", files / "cube.pack", "short.mcap", "-o", "short.run.mcap")
+    code, _, errors = run(
+        "report", "a.run.mcap", "--pack", files / "cube.pack", "--reference", "short.run.mcap", "-o", "r"
+    )
+    assert (code, len(errors)) == (2, 1)
+    assert errors[0].startswith("E-RUN-REFERENCE short.run.mcap")
+    assert not (tmp_path / "r").exists()
+
+
 def test_a_bug_of_palmar_is_one_line_with_exit_code_70(run, files, monkeypatch):
     monkeypatch.setattr("palmar.files.load_pack", lambda path: 1 / 0)
     code, out, errors = run("show", files / "cube.pack")

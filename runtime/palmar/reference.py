@@ -35,8 +35,9 @@ Progress = Callable[[float], None]
 def same_start(run: Run, pack: Path, progress: Progress = lambda fraction: None) -> Run:
     """Answers to at most MOST_STEPS steps, each from the pose that `run` had one step before; NaN poses elsewhere.
 
-    Steps are spread evenly over those with a force. One is left out where the solver could not start from that pose,
-    since it sinks in. Raises BadPack, PalmarError.
+    Steps are spread evenly over those with a force. One is left out where the solver cannot start from that pose, since
+    it sinks in; where that is every other step or more none is answered, for the rest would not speak for the run.
+    Raises BadPack, PalmarError.
     """
     answer = _empty(run)
     pushed = np.flatnonzero(_is_pushed(run)[1:] & (run.status[1:] & BITS["bad_sample"] == 0)) + 1
@@ -47,7 +48,8 @@ def same_start(run: Run, pack: Path, progress: Progress = lambda fraction: None)
         if all(np.allclose(before[name], getattr(run, name)[i - 1], rtol=0, atol=1e-9) for name in POSE):
             _store(answer, i, _converge(session, run, i))
         progress((done + 1) / len(steps))
-    return answer
+    answered = np.isfinite(answer.palm_position_m[steps]).all(axis=1)
+    return answer if answered.sum() > len(steps) / 2 else _empty(run)
 
 
 def _session(run: Run, pack: Path) -> Session:

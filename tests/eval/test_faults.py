@@ -113,6 +113,23 @@ def test_the_run_as_it_is_keeps_every_limit(pressed):
     assert outside(run, pack, path) == set()
 
 
+def test_a_converged_run_is_its_own_reference(pressed):
+    run, _, path = pressed
+    answer = reference.same_start(run, path)
+    known = np.isfinite(answer.palm_position_m).all(axis=1)
+    assert known.sum() == reference.MOST_STEPS
+    assert run.contacts[known].all()  # it is asked where something holds the hand
+    # metres; the run's own steps end when a round moves the hand by less than 5 um
+    assert answer.palm_position_m[known] == pytest.approx(run.palm_position_m[known], abs=1e-6)
+    assert answer.flexion_rad[known] == pytest.approx(run.flexion_rad[known], abs=1e-5)  # rad
+
+
+def test_a_hand_that_sinks_in_all_the_time_has_no_reference(pressed, hand):
+    run, _, path = pressed
+    answer = reference.same_start(sunk(run, hand, np.arange(1200)[run.contacts > 0]), path)
+    assert np.isnan(answer.palm_position_m).all()
+
+
 def test_a_contact_dropped_one_step_in_fifty_is_seen_as_depth_as_force_and_as_toggles(pressed, hand):
     run, pack, path = pressed
     assert outside(sunk(run, hand, np.arange(325, 900, 50)), pack, path) == {

@@ -17,7 +17,7 @@ import trimesh
 from palmar.errors import PalmarError
 from palmar.eval.figures import write_figures
 from palmar.eval.judge import fingertips, graphic_poses
-from palmar.eval.page import build_page, number_text, value_cell
+from palmar.eval.page import build_page, metrics_table, number_text, value_cell
 from palmar.eval.panels import Judged, Panel, hard_steps, panels, thin, worst_steps
 from palmar.eval.report import check_folder, run_names, write_folder
 from palmar.eval.view3d import MOST_FRAMES, frame_steps, three_js
@@ -203,6 +203,15 @@ def test_a_depth_of_zero_is_shown_as_zero_and_passes():
     cell = value_cell({"metric": "m", "stat": "max", "unit": "mm", "value": 0.0, "limit": 0.001})
     assert cell == '<td class="number pass">0</td>'
     assert number_text(None) == "&ndash;"
+    assert number_text(1806076.0) == "1,806,076"
+
+
+def test_a_limit_of_the_scene_is_shown_with_its_reason():
+    row = {"run": "a", "metric": "hover", "stat": "p99", "unit": "mm", "value": 0.4, "limit": 0.5, "margin_db": 1.9}
+    assert "Limit of the scene: holes &amp; rims." in metrics_table([row | {"reason_limit": "holes & rims"}])
+    none = row | {"limit": None, "margin_db": None, "reason_limit": "holes"}
+    assert "Limit of the scene, none: holes." in metrics_table([none])
+    assert "Limit of the scene" not in metrics_table([row])
 
 
 def test_figures_are_the_same_bytes_twice_and_the_csv_is_what_is_drawn(tmp_path):
