@@ -1,0 +1,72 @@
+"""The step's programme against DAQP, an active-set solver of other hands, on the families of made_programmes.h."""
+
+import json
+import subprocess
+from collections import Counter
+from pathlib import Path
+
+import daqp
+import numpy as np
+import pytest
+
+PROGRAM = Path(__file__).resolve().parents[2] / "build" / "tests" / "test_qp"
+TOLERANCE = 1e-9  # metres by which a row may be broken, in either solver
+WITHOUT_ANSWER = {"closed wedge"}
+
+
+def answers(program: Path) -> list[dict]:
+    lines = subprocess.run([program, "--lines"], capture_output=True, check=True, text=True).stdout
+    return [json.loads(line) for line in lines.splitlines()]
+
+
+def daqp_answer(case: dict) -> tuple[np.ndarray | None, float]:
+    """(x, sum of multipliers); x is None where DAQP says that there is none."""
+    # In y = x / sqrt(inverse_weight) the objective is 1/2 |y - y_target|^2: DAQP has no weights to lose digits over.
+    scale = np.sqrt(np.array(case["inverse_weight"]))
+    rows = np.array(case["rows"])
+    x, _, flag, info = daqp.solve(
+        np.eye(len(scale)),
+        -np.array(case["target"]) / scale,
+        rows[:, :-1] * scale,
+        np.concatenate([np.array(case["high"]) / scale, np.full(len(rows), 1e30)]),
+        np.concatenate([np.array(case["low"]) / scale, rows[:, -1]]),
+        primal_tol=TOLERANCE,
+        iter_limit=10000,
+    )
+    return (np.array(x) * scale if flag == 1 else None), float(np.abs(info["lam"]).sum())
+
+
+def cost(case: dict, x: np.ndarray) -> float:
+    return float(0.5 * np.sum((x - np.array(case["target"])) ** 2 / np.array(case["inverse_weight"])))
+
+
+def compare(program: Path) -> dict[str, Counter]:
+    """Per family: how many have the same optimum, and how many differ in which way."""
+    table: dict[str, Counter] = {}
+    for case in answers(program):
+        count = table.setdefault(case["family"], Counter())
+        ours = np.array(case["x"]) if case["status"] == "solved" else None
+        theirs, multipliers = daqp_answer(case)
+        if ours is None or theirs is None:
+            verdict = "none" if theirs is None else "some"
+            count["both none" if ours is theirs else f"{case['status']}, DAQP {verdict}"] += 1
+            continue
+        rows = np.array(case["rows"])
+        broken = float(np.max(rows[:, -1] - rows[:, :-1] @ ours))
+        if broken > 2 * TOLERANCE:
+            count["row broken"] += 1
+        # A row that gives by the tolerance saves its multiplier times that; both may, and DAQP's rows are in scaled
+        # units. 1e-9 of the cost for rounding.
+        allowed = 4 * TOLERANCE * max(multipliers, case["multipliers"]) + 1e-9 * cost(case, theirs) + 1e-12
+        difference = cost(case, ours) - cost(case, theirs)
+        count["same optimum" if abs(difference) <= allowed else "worse" if difference > 0 else "better"] += 1
+    return table
+
+
+@pytest.mark.skipif(not PROGRAM.exists(), reason="the C++ tests are not built in build/tests: make programs")
+def test_the_optimum_is_daqps_and_what_has_an_answer_is_never_called_infeasible():
+    table = compare(PROGRAM)
+    assert len(table) >= 10
+    for family, count in table.items():
+        expected = "both none" if family in WITHOUT_ANSWER else "same optimum"
+        assert set(count) == {expected}, f"{family}: {dict(count)}"
