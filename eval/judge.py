@@ -232,7 +232,7 @@ def _that_may_matter(
 
 def _until_moved(start: int, reach: float, points: Array) -> int:
     """First step after start, at most 500 on, by which any of the points (n, k, 3) has left its place by over reach."""
-    over = (_norm(points[start : start + 500] - points[start]) > reach).any(axis=1)
+    over: Flags = (_norm(points[start : start + 500] - points[start]) > reach).any(axis=1)
     return start + (int(np.argmax(over)) if over.any() else len(over))
 
 

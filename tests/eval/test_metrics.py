@@ -12,6 +12,8 @@ from palmar.errors import BadPack, BadTrace
 from palmar.eval import judge
 from palmar.eval.metrics import METRICS, margin_db, measure, metrics_json, verdict, worst_margin
 
+# A box from -20 to 20 mm, as in conftest.
+BOX = 0.02 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 HOLD = [{"name": "hold", "start_s": 0.0, "end_s": 1.0}]
 FAR = [[0, 0, -1.0, 0.01]]  # a leaf that nothing comes near
 
@@ -245,6 +247,19 @@ def test_limits_that_cannot_be_read_are_refused(make_pack, make_run, text):
     run = make_run(3, palm_position_m=away(3), header={"trace_header": json.dumps({"limits": text})})
     with pytest.raises(BadTrace, match="limits"):
         measure(run, make_pack(FAR), "thing")
+
+
+def test_a_hand_gone_through_a_plate_is_on_the_wrong_side_in_every_step_that_it_stays_there(make_pack, make_run):
+    plate = BOX * [1, 1, 0.05]  # 2 mm thick
+    over = np.where(np.arange(30) < 10, 0.05, -0.05)  # jumps from 50 mm above to 50 mm below, and is free there
+    at = np.stack([0 * over, 0 * over - 0.06, over], axis=1)
+    region = [{"half_spaces": [[0, 0, -1, 0.001], [1, 0, 0, -0.02], [-1, 0, 0, -0.02]], "links": [7, 8, 9]}]
+    for far_side, steps in (([], 1), (region, 20)):
+        header = {"trace_header": json.dumps({"far_side": json.dumps(far_side)})}
+        run = make_run(30, palm_position_m=at, header=header)
+        rows, series = measure(run, make_pack(FAR, plate), "thing", only=("wrong_side",))
+        assert value(rows, "wrong_side", "sum") == steps
+        assert series["wrong_side"][10] == 1 and not series["wrong_side"][:10].any()
 
 
 def test_only_the_metrics_asked_for_are_worked_out(make_pack, make_run):
