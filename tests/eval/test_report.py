@@ -15,8 +15,10 @@ import pytest
 import trimesh
 
 from palmar.errors import PalmarError
+from palmar.eval.explain import MEANING
 from palmar.eval.figures import write_figures
 from palmar.eval.judge import fingertips, graphic_poses
+from palmar.eval.metrics import METRICS
 from palmar.eval.page import build_page, metrics_table, number_text, value_cell
 from palmar.eval.panels import Judged, Panel, hard_steps, panels, thin, worst_steps
 from palmar.eval.report import check_folder, run_names, write_folder
@@ -204,6 +206,10 @@ def test_a_depth_of_zero_is_shown_as_zero_and_passes():
     assert cell == '<td class="number pass">0</td>'
     assert number_text(None) == "&ndash;"
     assert number_text(1806076.0) == "1,806,076"
+
+
+def test_every_metric_of_the_table_has_its_words():
+    assert set(MEANING) == {metric.name for metric in METRICS}
 
 
 def test_a_limit_of_the_scene_is_shown_with_its_reason():
