@@ -124,6 +124,8 @@ class Sampled(Strict):
     metrics: list[str] = []  # whose limits this scene is about, beside penetration_spheres and frozen_steps
     figures: list[str] = []  # numbers to print, METRIC STAT
     far_side: list[Region] = []
+    settled_after_steps: int | None = Field(default=None, ge=1)  # of constant input; then no force may change by a bit
+    end_offset_m: float | None = Field(default=None, ge=0.0)  # how far the palm may be from the glove's at the end
     same_end_force_n: float | None = Field(default=None, ge=0.0)  # how far the last forces of its cases may differ
     sweep: list[dict[str, list[Any]]] = []
 

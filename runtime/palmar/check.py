@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from palmar.errors import PalmarError
+from palmar.eval.case import Case
 from palmar.eval.metrics import margin_db, measure, worst_margin
 from palmar.eval.table import METRICS
 from palmar.files import nearest
@@ -68,8 +69,7 @@ class Tally:
     def compare_ends(self, limit_n: float) -> None:
         """Add how far the last forces of the runs are from those of the first, as a number with a limit."""
         spread = float(np.abs(np.array(self.end_force_n) - self.end_force_n[0]).max())
-        row = {"metric": "end_force", "stat": "spread", "unit": "N", "value": spread, "limit": limit_n}
-        self.take([{**row, "margin_db": margin_db(spread, limit_n)}], "all", 0, ["end_force spread"])
+        self.take([_row("end_force_spread", "N", spread, limit_n)], "all cases", 0, ["end_force_spread value"])
 
     def take(self, rows: list[Row], case: str, start: int, asked: Sequence[str]) -> bool:
         """Add the rows of one run; whether it set a new worst margin."""
@@ -89,7 +89,10 @@ class Tally:
             if name in asked and row["value"] is not None:
                 self.figures[name] = max(row["value"], self.figures.get(name, row["value"]))
         score = worst_margin(rows)
-        if score is None or (self.worst is not None and score[0] >= self.margin_db):
+        if score is None:
+            return False
+        # Of two margins without bound the larger value is the worse.
+        if self.worst is not None and (score[0], -score[1]["value"]) >= (self.margin_db, -self.worst["value"]):
             return False
         self.margin_db, self.worst = score[0], {**score[1], **at}
         return True
@@ -211,6 +214,11 @@ def _run_case(
         run = read_run(run_path)
         rows, _ = measure(run, pack, "object", only=only)
         rows = [row if row["metric"] in about else {**row, "limit": None, "margin_db": None} for row in rows]
+        if scene.end_offset_m is not None:
+            apart_m = np.linalg.norm(run.palm_position_m[-1] - run.haptic_palm_position_m[-1])
+            rows.append(_row("end_offset", "mm", 1e3 * float(apart_m), 1e3 * scene.end_offset_m))
+        if scene.settled_after_steps is not None:
+            rows.append(_settled_row(Case(run, pack, "object"), scene.settled_after_steps))
         tally.see(run, case)
         if tally.take(rows, case, start, scene.figures) and out is not None:
             for path, ending in ((pack_path, "pack"), (trace, "mcap"), (run_path, "run.mcap")):
@@ -226,6 +234,19 @@ def _require_known(scene: Sampled, where: Path) -> None:
                 raise PalmarError(
                     "E-CONF", f"{where}:{key}", f"{name!r} is no number of a metric{nearest(name, known)}"
                 )
+
+
+def _settled_row(case: Case, steps: int) -> Row:
+    """Largest change of a fingertip's force where the input has been constant for longer than so many steps."""
+    changes = np.linalg.norm(np.diff(case.run.fingertip_force_n, axis=0), axis=2).max(axis=1)
+    still = case.still_steps[1:] > steps
+    return _row("settled_force_step", "N", float(changes[still].max(initial=0.0)), 0.0)
+
+
+def _row(name: str, unit: str, value: float, limit: float) -> Row:
+    """A number that a scene asks for beside those of eval, in the form of theirs."""
+    found = {"metric": name, "stat": "value", "unit": unit, "value": value, "limit": limit}
+    return {**found, "margin_db": margin_db(value, limit)}
 
 
 def _told(tally: Tally) -> dict[str, Any]:
@@ -247,4 +268,4 @@ def _say_value(row: Row) -> str:
 
 
 def _decibels(margin: float) -> str:
-    return f"{margin:+.1f} dB" if abs(margin) < float("inf") else "no limit reached,"
+    return f"{margin:+.1f} dB" if abs(margin) < float("inf") else "all kept:"
