@@ -35,7 +35,7 @@ bench: programs
 
 programs: .venv/installed
 	@echo "== C++ tests and measuring programs (build/tests)"
-	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/tests -G Ninja -DPALMAR_TESTS=ON -DCMAKE_BUILD_TYPE=Release \
+	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/tests -G Ninja -DPALMAR_TESTS=ON -DPALMAR_SHARED=ON -DCMAKE_BUILD_TYPE=Release \
 	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
 	@$(BIN)/cmake --build build/tests -- --quiet
 
