@@ -1,37 +1,14 @@
 // What each solver that is there for comparison does, as facts with a margin: a baseline that gets worse is a broken
 // comparison, and one that stops failing where its source says it fails is news.
-#include <atomic>
-#include <cstdlib>
 #include <cstring>
-#include <new>
 #include <string>
 
 #include "check.h"
+#include "count_allocations.h"
 #include "made_hand.h"
 #include "session.h"
 
 using namespace palmar;
-
-namespace {
-std::atomic<long> allocations{0};
-}
-
-void* operator new(std::size_t size) {
-  ++allocations;
-  if (void* p = std::malloc(size)) return p;
-  throw std::bad_alloc();
-}
-void* operator new(std::size_t size, std::align_val_t align) {
-  ++allocations;
-  if (void* p = std::aligned_alloc(std::size_t(align),
-                                   (size + std::size_t(align) - 1) / std::size_t(align) * std::size_t(align)))
-    return p;
-  throw std::bad_alloc();
-}
-void operator delete(void* p) noexcept { std::free(p); }
-void operator delete(void* p, std::size_t) noexcept { std::free(p); }
-void operator delete(void* p, std::align_val_t) noexcept { std::free(p); }
-void operator delete(void* p, std::size_t, std::align_val_t) noexcept { std::free(p); }
 
 namespace {
 
