@@ -103,11 +103,11 @@ class Tally:
         head = f"{self.id:<4} {self.scene:<20} {self.solver:<12} {self.runs:>4} runs, {touched:>3.0%} contact "
         if self.worst is None:
             return f"{head} nothing that has a limit could be measured"
-        if self.fails:
-            parts = [_say_fail(name, row) for name, row in self.fails.items()]
+        parts = [_say_fail(name, row) for name, row in self.fails.items()]
+        if self.untouched:
+            parts.append(f"no contact in {len(self.untouched)} cases ({self.untouched[0]})")
+        if parts:
             said = f"FAILS {self.failed}: " + "; ".join(parts)
-        elif self.untouched:
-            said = f"FAILS: no contact in {len(self.untouched)} cases ({self.untouched[0]})"
         else:
             said = f"{_decibels(self.margin_db)} {self.worst['metric']} {self.worst['stat']} {_say_value(self.worst)}"
         shown = ", ".join(f"{name} {value:.4g}" for name, value in self.figures.items())
@@ -226,14 +226,18 @@ def _run_case(
 
 
 def _require_known(scene: Sampled, where: Path) -> None:
-    """Raise PalmarError E-CONF for a limit or a figure of a number that there is not."""
-    known = [f"{metric.name} {stat.name}" for metric in METRICS for stat in metric.stats]
-    for key, names in (("limits", scene.limits), ("figures", scene.figures)):
+    """Raise PalmarError E-CONF for a metric, or a number of one, that there is not."""
+    metrics = [metric.name for metric in METRICS]
+    numbers = [f"{metric.name} {stat.name}" for metric in METRICS for stat in metric.stats]
+    asked = (
+        ("metrics", scene.metrics, metrics),
+        ("limits", scene.limits, numbers),
+        ("figures", scene.figures, numbers),
+    )
+    for key, names, known in asked:
         for name in names:
             if name not in known:
-                raise PalmarError(
-                    "E-CONF", f"{where}:{key}", f"{name!r} is no number of a metric{nearest(name, known)}"
-                )
+                raise PalmarError("E-CONF", f"{where}:{key}", f"{name!r} is not known{nearest(name, known)}")
 
 
 def _settled_row(case: Case, steps: int) -> Row:

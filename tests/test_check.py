@@ -1,0 +1,133 @@
+"""The command that runs hard cases: what it prints, when it fails, and that a bad solver cannot pass."""
+
+import json
+
+import numpy as np
+import pytest
+
+from palmar import cli
+from palmar.eval.case import Case
+from palmar.eval.far_side import far_side_of, on_far_side
+from palmar.eval.judge import Shape
+from palmar.model import load_pack
+from palmar.records import read_run, read_trace
+
+MY_SCENE = """
+kind = "keys"
+id = "P3"
+why = "{why}"
+metrics = ["wrong_side"]
+figures = ["palm_offset max"]
+object = {{ kind = "plate", width_m = 0.2, length_m = 0.24, position_m = [-0.02, 0.09, {z}] }}
+far_side = [{{ half_spaces = [[0, 0, -1, 0.006]] }}]
+
+[[key]]
+position_m = [0.0, 0.0, 0.07]
+
+[[key]]
+move_m = [0.0, 0.0, -0.12]
+after_s = 0.2
+
+[[key]]
+after_s = 0.1
+"""
+
+
+@pytest.fixture
+def run(capsys, tmp_path, monkeypatch):
+    """Run a command line in an empty folder; gives the exit code, stdout and the lines of stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run_line(*arguments):
+        code = cli.run([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err.splitlines()
+
+    return run_line
+
+
+def test_the_products_solver_keeps_the_limits_where_the_published_one_ends_behind_the_plate(run, tmp_path):
+    code, out, errors = run(
+        "check", "plate_glove_rate", "--quick", "--solver", "progressive", "--solver", "paper", "-o", "o"
+    )
+    assert (code, errors) == (1, [])
+    ours, theirs = out.splitlines()
+    assert ours.startswith("P2   plate_glove_rate") and "FAILS" not in ours
+    assert "paper" in theirs and "FAILS 2" in theirs and "wrong_side" in theirs
+    answer = json.loads((tmp_path / "o" / "check.json").read_text())
+    assert [scene["passed"] for scene in answer["scenes"]] == [True, False] and not answer["passed"]
+    # The fingers are through and in the free again: only what the scene says of its far side can tell.
+    behind = read_run(tmp_path / "o" / "plate_glove_rate-paper.run.mcap")
+    case = Case(behind, load_pack(tmp_path / "o" / "plate_glove_rate-paper.pack"), "object")
+    assert on_far_side(case.shape, far_side_of(behind))[-1]
+
+
+@pytest.mark.parametrize("name", ["concave_notch", "start_inside", "object_hits_hand", "straight_finger", "dropout"])
+def test_a_quick_part_of_the_suite_holds(run, name):
+    code, out, errors = run("check", name, "--quick", "--json")
+    assert (code, errors) == (0, [])
+    (scene,) = json.loads(out)["scenes"]
+    assert scene["passed"] and scene["fails"] == {} and sum(scene["contact_steps"].values()) > 0
+
+
+def test_a_scene_in_which_the_hand_meets_nothing_shows_nothing_and_fails(run, tmp_path):
+    for name, z in (("near", 0.0), ("far", -1.0)):
+        (tmp_path / f"{name}.toml").write_text(MY_SCENE.format(why="a scene of the tests " * 5, z=z))
+    assert run("check", "near.toml")[0] == 0
+    code, out, _ = run("check", "far.toml")
+    assert code == 1 and "no contact in 1 cases" in out
+
+
+def test_the_worst_run_of_a_scene_is_kept_with_its_pack_and_trace(run, tmp_path):
+    (tmp_path / "near.toml").write_text(MY_SCENE.format(why="a scene of the tests " * 5, z=0.0))
+    run("check", "near.toml", "-o", "o")
+    assert sorted(path.name for path in (tmp_path / "o").iterdir()) == [
+        "check.json",
+        "near-progressive.mcap",
+        "near-progressive.pack",
+        "near-progressive.run.mcap",
+    ]
+    assert read_trace(tmp_path / "o" / "near-progressive.mcap").header["scene"] == "near"
+
+
+def test_each_mistake_is_one_line_with_exit_code_2(run, tmp_path):
+    why = "a scene of the tests " * 5
+    texts = {
+        "metric": MY_SCENE.format(why=why, z=0.0).replace('"wrong_side"', '"wrong_sides"'),
+        "figure": MY_SCENE.format(why=why, z=0.0).replace('"palm_offset max"', '"palm_offset most"'),
+        "object": MY_SCENE.format(why=why, z=0.0).replace("width_m", "widht_m"),
+        "setting": MY_SCENE.format(why=why, z=0.0).replace("metrics", "settings = {iteration = 1}\nmetrics"),
+    }
+    said = {
+        "metric": "E-CONF metric.toml:metrics: 'wrong_sides' is not known; nearest: wrong_side",
+        "figure": "E-CONF figure.toml:figures: 'palm_offset most' is not known; nearest: palm_offset ",
+        "object": "E-CONF object:widht_m: unknown key; nearest: width_m",
+        "setting": "E-CONF-KEY iteration: ",
+    }
+    for name, text in texts.items():
+        (tmp_path / f"{name}.toml").write_text(text)
+        code, out, errors = run("check", f"{name}.toml")
+        assert (code, out, len(errors)) == (2, "", 1), (name, errors)
+        assert errors[0].startswith(said[name]), errors
+    for arguments in (("check", "plate_aproach"), ("check", "grasp"), ("check", "--suite", "all")):
+        code, _, errors = run(*arguments)
+        assert code == 2 and len(errors) == 1, arguments
+
+
+def test_a_link_is_on_the_far_side_where_any_part_of_its_axis_is():
+    # Fifteen unit axes along x, starting at 0, 1, ... 14, at three heights.
+    start = np.zeros((3, 15, 3))
+    start[:, :, 0] = np.arange(15)
+    start[:, :, 2] = np.array([1.0, 0.0, -1.0])[:, None]
+    end = start + np.array([1.0, 0.0, 0.0])
+    shape = Shape(start, np.ones(15), end, np.ones(15), np.full((3, 1, 3), 100.0), np.ones(1))
+    below = [0.0, 0.0, -1.0, 0.5]
+    assert on_far_side(shape, [{"half_spaces": [below]}]).tolist() == [False, False, True]
+    # Between x = 3.4 and 3.6 is the middle of the fourth axis, and neither of its ends.
+    narrow = [[1.0, 0.0, 0.0, 3.4], [-1.0, 0.0, 0.0, -3.6], below]
+    assert on_far_side(shape, [{"half_spaces": narrow}]).tolist() == [False, False, True]
+    assert not on_far_side(shape, [{"half_spaces": narrow, "links": [1, 2, 3, 5]}]).any()
+    assert on_far_side(shape, [{"half_spaces": narrow, "links": [4]}]).tolist() == [False, False, True]
+    assert not on_far_side(shape, [{"half_spaces": [[1.0, 0.0, 0.0, 3.6], [-1.0, 0.0, 0.0, -3.4]]}]).any()
+    palm = [{"half_spaces": [[1.0, 0.0, 0.0, 50.0]], "links": [0]}]
+    assert on_far_side(shape, palm).all()
