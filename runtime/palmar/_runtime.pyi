@@ -60,3 +60,58 @@ class Session:
         object_rotation_wxyz: np.ndarray | None = None,
     ) -> dict[str, Any]:
         """One step towards the haptic hand given: one row of `palmar.records.Run`, `contacts` as a list of dicts."""
+
+class TriangleTree:
+    """Exact distances to a mesh: vertices (v, 3) and faces (f, 3), int64."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None: ...
+    def shoot(
+        self, points: np.ndarray, inward: np.ndarray, faces: np.ndarray, slack: float, start: float
+    ) -> np.ndarray:
+        """Centres and inside distances (k, 4), k <= n, of the largest balls tangent at surface points (n, 3).
+
+        The surface enters a ball by at most slack; they are shrunk from the radius start. inward (n, 3): unit normals;
+        faces (n,): on which the points lie.
+        """
+
+    def distances(self, centers: np.ndarray) -> np.ndarray:
+        """The centres (n, 3) and their distance to the surface, without a sign: (n, 4)."""
+
+class CoverFit:
+    """Balls (centre, inside distance) moved and exchanged until few surface samples have a gap above a budget.
+
+    The gap of a sample is the least of |sample - centre| - inside over all balls; it costs 0 up to the budget's low
+    end, 1 from its high end on. Same seed, same result, for any number of threads.
+    """
+
+    def __init__(
+        self,
+        tree: TriangleTree,
+        points: np.ndarray,
+        inward: np.ndarray,
+        faces: np.ndarray,
+        seed: int,
+        threads: int,
+    ) -> None: ...
+    def set_balls(self, tree: TriangleTree, balls: np.ndarray, fixed: int = 0) -> None:
+        """Balls (n, 4), of which the first `fixed` stay where they are."""
+
+    def balls(self) -> np.ndarray: ...
+    def set_budget(self, low: float, high: float) -> None: ...
+    def quantile(self, share: float) -> float:
+        """The gap that this share of the samples does not exceed, as far as it lies below the budget's high end."""
+
+    def polish(self, step: float, moves: int, temperature: float) -> int:
+        """Each ball tries `moves` places up to `step` discs away. Returns how many moved."""
+
+    def exchange(self, trials: int, candidates: int) -> int:
+        """Puts balls of little use where samples are bare. Returns how many."""
+
+    def remove(self, count: int) -> None:
+        """Takes the `count` balls of least use out."""
+
+    def remove_useless(self) -> None:
+        """Takes balls out without which no sample costs more."""
+
+    def add(self, count: int, candidates: int) -> int:
+        """Puts up to `count` balls where samples are bare. Returns how many."""

@@ -1,0 +1,413 @@
+#include "cover_fit.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <thread>
+
+namespace palmar {
+namespace {
+
+constexpr std::int32_t kNone = -1;
+constexpr std::size_t kBlock = 48;  // places judged against one state
+constexpr double kSmallest = 1e-5;  // of the solid's size: the radius below which nothing is a ball
+constexpr double kRounding = 1e-6;  // of the solid's size
+constexpr double kSlack = 0.4;      // of the budget: what may enter a ball that passes over dents and facets
+
+// Radius of the ball behind `point` that has `other` on its skin.
+double tangent_radius(const Vec3& point, const Vec3& inward, const Vec3& other, double radius) {
+  const Vec3 chord = other - point;
+  const double depth = inward.dot(chord);
+  return depth > 0 ? std::min(chord.squaredNorm() / (2 * depth), radius) : 0.5 * radius;
+}
+
+}  // namespace
+
+std::uint64_t Random::next() {
+  std::uint64_t z = (state += 0x9e3779b97f4a7c15ull);
+  z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ull;
+  z = (z ^ (z >> 27)) * 0x94d049bb133111ebull;
+  return z ^ (z >> 31);
+}
+
+Vec3 Random::in_ball() {
+  for (;;) {
+    const double x = 2 * uniform() - 1, y = 2 * uniform() - 1, z = 2 * uniform() - 1;
+    if (x * x + y * y + z * z <= 1) return {x, y, z};
+  }
+}
+
+std::optional<InsideBall> shoot(const TriangleTree& tree, const Vec3& point, const Vec3& inward, std::int32_t face,
+                                double slack, double start) {
+  const double rounding = kRounding * tree.size();
+  double radius = start;
+  for (int round = 0; round < 24; ++round) {
+    const Vec3 center = point + radius * inward;
+    const Closest found = tree.closest(center, face);
+    const double distance = std::sqrt(found.squared);
+    face = found.face;
+    if (distance >= radius - slack - rounding) {
+      if (distance < kSmallest * tree.size()) return {};
+      // The ball is free of surface; what lies between it and the point must be too.
+      const double open = radius - distance;
+      if (open > 0 && tree.crosses(point + rounding * inward, point + (open + rounding) * inward)) return {};
+      return InsideBall{center, distance, found.face};
+    }
+    radius = tangent_radius(point, inward, found.point, radius);
+  }
+  return {};
+}
+
+CoverFit::CoverFit(const TriangleTree& tree, const Samples& samples, std::uint64_t seed, int threads)
+    : tree_(tree), samples_(samples.points), seen_(samples.points.size()), scratch_(threads), random_{seed} {
+  for (const std::int32_t s : samples_.order()) {
+    points_.push_back(samples.points[s]);
+    inward_.push_back(samples.inward[s]);
+    faces_.push_back(samples.faces[s]);
+  }
+  for (Scratch& scratch : scratch_) scratch.stamp.assign(points_.size(), 0);
+}
+
+double CoverFit::disc(const InsideBall& ball) const { return std::sqrt(2 * ball.inside * budget_ + budget_ * budget_); }
+
+void CoverFit::set_balls(std::vector<InsideBall> balls, int fixed) {
+  balls_ = std::move(balls);
+  fixed_ = std::size_t(fixed);
+  set_budget(low_, high_);
+}
+
+void CoverFit::set_budget(double low, double high) {
+  low_ = low;
+  high_ = high;
+  budget_ = 0.5 * (low + high);
+  slope_ = high > low ? 1 / (high - low) : 0;
+  Seen nothing;
+  std::fill_n(nothing.ball, kKept, kNone);
+  std::fill_n(nothing.gap, kKept, float(high));
+  std::fill(seen_.begin(), seen_.end(), nothing);
+  for (std::size_t k = 0; k < balls_.size(); ++k) enter(std::int32_t(k));
+}
+
+void CoverFit::enter(std::int32_t index) {
+  const InsideBall& ball = balls_[index];
+  const float inside = float(ball.inside);
+  samples_.within(ball.center, ball.inside + high_, [&](std::int32_t s, float distance) {
+    Seen& seen = seen_[s];
+    const float gap = distance - inside;
+    if (!(gap < seen.gap[kKept - 1])) return;
+    int at = kKept - 1;
+    for (; at > 0 && gap < seen.gap[at - 1]; --at) {
+      seen.gap[at] = seen.gap[at - 1];
+      seen.ball[at] = seen.ball[at - 1];
+    }
+    seen.gap[at] = gap;
+    seen.ball[at] = index;
+  });
+}
+
+void CoverFit::leave(std::int32_t index) {
+  const InsideBall& ball = balls_[index];
+  samples_.within(ball.center, ball.inside + high_, [&](std::int32_t s, float) {
+    Seen& seen = seen_[s];
+    int at = 0;
+    while (at < kKept && seen.ball[at] != index) ++at;
+    if (at == kKept) return;
+    for (; at + 1 < kKept; ++at) {
+      seen.gap[at] = seen.gap[at + 1];
+      seen.ball[at] = seen.ball[at + 1];
+    }
+    seen.gap[kKept - 1] = float(high_);
+    seen.ball[kKept - 1] = kNone;
+  });
+}
+
+double CoverFit::quantile(double share) const {
+  std::vector<float> gaps;
+  gaps.reserve(seen_.size());
+  for (const Seen& seen : seen_) gaps.push_back(seen.gap[0]);
+  const auto at = gaps.begin() + std::ptrdiff_t(share * double(gaps.size() - 1));
+  std::nth_element(gaps.begin(), at, gaps.end());
+  return *at;
+}
+
+double CoverFit::change(std::int32_t index, const InsideBall& other, Scratch& scratch) const {
+  double sum = 0;
+  if (++scratch.now == 0) {
+    std::fill(scratch.stamp.begin(), scratch.stamp.end(), 0);
+    scratch.now = 1;
+  }
+  const float inside = float(other.inside);
+  samples_.within(other.center, other.inside + high_, [&](std::int32_t s, float distance) {
+    scratch.stamp[s] = scratch.now;
+    const Seen& seen = seen_[s];
+    const float rest = seen.ball[0] == index ? seen.gap[1] : seen.gap[0];
+    const float gap = std::min(distance - inside, rest);
+    if (gap != seen.gap[0]) sum += cost_of(gap) - cost_of(seen.gap[0]);
+  });
+  const InsideBall& ball = balls_[index];
+  samples_.within(ball.center, ball.inside + high_, [&](std::int32_t s, float) {
+    const Seen& seen = seen_[s];
+    if (seen.ball[0] == index && scratch.stamp[s] != scratch.now) sum += cost_of(seen.gap[1]) - cost_of(seen.gap[0]);
+  });
+  return sum;
+}
+
+double CoverFit::gain(const InsideBall& ball) const {
+  double sum = 0;
+  const float inside = float(ball.inside);
+  samples_.within(ball.center, ball.inside + high_, [&](std::int32_t s, float distance) {
+    const float gap = distance - inside, now = seen_[s].gap[0];
+    if (gap < now) sum += cost_of(now) - cost_of(gap);
+  });
+  return sum;
+}
+
+double CoverFit::loss(std::int32_t index) const {
+  double sum = 0;
+  const InsideBall& ball = balls_[index];
+  samples_.within(ball.center, ball.inside + high_, [&](std::int32_t s, float) {
+    const Seen& seen = seen_[s];
+    if (seen.ball[0] == index) sum += cost_of(seen.gap[1]) - cost_of(seen.gap[0]);
+  });
+  return sum;
+}
+
+std::vector<double> CoverFit::losses() const {
+  std::vector<double> sum(balls_.size(), 0.0);
+  for (const Seen& seen : seen_) {
+    if (seen.ball[0] >= 0) sum[seen.ball[0]] += cost_of(seen.gap[1]) - cost_of(seen.gap[0]);
+  }
+  return sum;
+}
+
+Vec3 CoverFit::pull(std::int32_t index) const {
+  const InsideBall& ball = balls_[index];
+  Vec3 sum = Vec3::Zero();
+  samples_.within(ball.center, ball.inside + high_, [&](std::int32_t s, float) {
+    const Seen& seen = seen_[s];
+    if (seen.ball[0] == index && seen.gap[0] > low_) sum += (points_[s] - ball.center).normalized();
+  });
+  const double length = sum.norm();
+  return length > 0 ? Vec3(sum / length) : sum;
+}
+
+std::optional<InsideBall> CoverFit::moved(const InsideBall& ball, const Vec3& shift, Random& random) const {
+  const double far = shift.norm();
+  if (far >= ball.inside) return {};
+  const Vec3 center = ball.center + shift;
+  const Closest found = tree_.closest(center, ball.face);
+  const double distance = std::sqrt(found.squared);
+  if (distance < kSmallest * tree_.size()) return {};
+  if (random.uniform() < 0.2) return InsideBall{center, distance, found.face};
+  // Up from the surface to the medial axis again, or a little past it.
+  const Vec3 inward = (center - found.point) / distance;
+  const double slack = random.uniform() < 0.5 ? 0.0 : kSlack * budget_ * random.uniform();
+  return shoot(tree_, found.point, inward, found.face, slack, distance + 2 * far + slack);
+}
+
+std::optional<InsideBall> CoverFit::walk(std::int32_t index, double step, int moves, double temperature, Random random,
+                                         Scratch& scratch) const {
+  InsideBall at = balls_[index];
+  double worse_at = 0;
+  bool left = false;
+  const Vec3 towards = pull(index);
+  Vec3 again = Vec3::Zero();
+  for (int move = 0; move < moves; ++move) {
+    const double size = step * disc(at) * std::pow(8.0, -random.uniform());
+    Vec3 shift = again;
+    if (again.isZero()) shift = size * (random.in_ball() + (move % 2 ? 0.0 : 1.0) * towards);
+    again.setZero();
+    const auto other = moved(at, shift, random);
+    if (!other) continue;
+    const double worse = change(index, *other, scratch);
+    const bool better = worse < worse_at;
+    if (better || (temperature > 0 && random.uniform() < std::exp((worse_at - worse) / temperature))) {
+      if (better) again = other->center - at.center;
+      at = *other;
+      worse_at = worse;
+      left = true;
+    }
+  }
+  return left ? std::optional(at) : std::nullopt;
+}
+
+void CoverFit::in_parallel(std::size_t count, const std::function<void(std::size_t, Scratch&)>& work) {
+  const std::size_t threads = std::min(scratch_.size(), count);
+  const auto share = [&](std::size_t thread) {
+    for (std::size_t k = thread; k < count; k += threads) work(k, scratch_[thread]);
+  };
+  std::vector<std::thread> others;
+  for (std::size_t thread = 1; thread < threads; ++thread) others.emplace_back(share, thread);
+  if (threads) share(0);
+  for (std::thread& other : others) other.join();
+}
+
+int CoverFit::polish(double step, int moves, double temperature) {
+  std::vector<std::int32_t> order(balls_.size() - fixed_);
+  std::iota(order.begin(), order.end(), std::int32_t(fixed_));
+  for (std::size_t k = order.size(); k > 1; --k) std::swap(order[k - 1], order[random_.below(k)]);
+  std::vector<std::optional<InsideBall>> found(kBlock);
+  int taken = 0;
+  for (std::size_t first = 0; first < order.size(); first += kBlock) {
+    const std::size_t count = std::min(kBlock, order.size() - first);
+    const std::uint64_t seed = random_.next();
+    in_parallel(count, [&](std::size_t k, Scratch& scratch) {
+      found[k] = walk(order[first + k], step, moves, temperature, Random{seed + k * 0x2545f4914f6cdd1dull}, scratch);
+    });
+    for (std::size_t k = 0; k < count; ++k) {
+      if (!found[k]) continue;
+      const std::int32_t index = order[first + k];
+      const double worse = change(index, *found[k], scratch_[0]);
+      if (worse < 0 || (temperature > 0 && random_.uniform() < std::exp(-worse / temperature))) {
+        leave(index);
+        balls_[index] = *found[k];
+        enter(index);
+        ++taken;
+      }
+    }
+  }
+  return taken;
+}
+
+std::optional<InsideBall> CoverFit::best_at(std::size_t sample, int candidates, Random& random) const {
+  std::optional<InsideBall> best;
+  double most = 0;
+  const auto judge = [&](const std::optional<InsideBall>& ball) {
+    const double now = ball ? gain(*ball) : 0;
+    if (now > most) most = now, best = ball;
+  };
+  const Vec3 &from = points_[sample], &inward = inward_[sample];
+  for (int k = 0; k < candidates; ++k) {
+    if (k % 4 == 3) {
+      // Down from an edge or a corner, where medial balls are tiny.
+      const Vec3 center = from + 3 * budget_ * random.uniform() * inward;
+      const Closest found = tree_.closest(center, faces_[sample]);
+      const double distance = std::sqrt(found.squared);
+      const bool open = !tree_.crosses(from + kRounding * tree_.size() * inward, center);
+      if (open && distance > kSmallest * tree_.size()) judge(InsideBall{center, distance, found.face});
+    } else {
+      const double slack = k % 2 ? kSlack * budget_ * random.uniform() : 0.0;
+      judge(shoot(tree_, from, inward, faces_[sample], slack, 0.5 * tree_.size()));
+      if (best) judge(moved(*best, random.uniform() * disc(*best) * random.in_ball(), random));
+    }
+  }
+  return best;
+}
+
+std::vector<std::int32_t> CoverFit::bare() const {
+  std::vector<std::int32_t> found;
+  for (std::size_t s = 0; s < seen_.size(); ++s) {
+    if (seen_[s].gap[0] > budget_) found.push_back(std::int32_t(s));
+  }
+  return found;
+}
+
+int CoverFit::exchange(int trials, int candidates) {
+  int taken = 0;
+  std::vector<Move> moves(kBlock);
+  for (int first = 0; first < trials && balls_.size() > fixed_; first += int(kBlock)) {
+    const std::vector<double> lost = losses();
+    std::vector<std::int32_t> order(balls_.size() - fixed_);
+    std::iota(order.begin(), order.end(), std::int32_t(fixed_));
+    const std::size_t pool = std::min(order.size(), std::max(kBlock, order.size() / 10));
+    std::partial_sort(order.begin(), order.begin() + std::ptrdiff_t(pool), order.end(),
+                      [&](std::int32_t i, std::int32_t j) { return std::pair(lost[i], i) < std::pair(lost[j], j); });
+    const std::vector<std::int32_t> targets = bare();
+    if (targets.empty()) break;
+    const std::size_t count = std::min(kBlock, std::size_t(trials - first));
+    const std::uint64_t seed = random_.next();
+    in_parallel(count, [&](std::size_t k, Scratch&) {
+      Random random{seed + k * 0x2545f4914f6cdd1dull};
+      moves[k].out = order[random.below(pool)];
+      moves[k].in = best_at(std::size_t(targets[random.below(targets.size())]), candidates, random);
+    });
+    int now = 0;
+    for (std::size_t k = 0; k < count; ++k) {
+      const auto& [out, in] = moves[k];
+      if (!in || gain(*in) <= loss(out)) continue;
+      leave(out);
+      balls_[out] = *in;
+      enter(out);
+      ++now;
+    }
+    taken += now;
+    if (!now && first > trials / 4) break;
+  }
+  return taken;
+}
+
+void CoverFit::remove(int count) {
+  while (count > 0) {
+    const int gone = take_out(count, false);
+    if (!gone) return;
+    count -= gone;
+  }
+}
+
+void CoverFit::remove_useless() {
+  // Lists of the least gaps are short: where many balls see the same samples, the next round sees more.
+  while (take_out(int(balls_.size()), true) > int(balls_.size() / 20)) set_budget(low_, high_);
+}
+
+int CoverFit::take_out(int count, bool useless) {
+  const std::size_t least = std::max<std::size_t>(fixed_, 1);
+  if (balls_.size() <= least) return 0;
+  const std::vector<double> lost = losses();
+  std::vector<std::int32_t> order(balls_.size() - fixed_);
+  std::iota(order.begin(), order.end(), std::int32_t(fixed_));
+  std::sort(order.begin(), order.end(),
+            [&](std::int32_t i, std::int32_t j) { return std::pair(lost[i], i) < std::pair(lost[j], j); });
+  // What goes changes what the others are worth: a tenth at a time, or as long as nothing is lost.
+  const std::size_t most = std::min(balls_.size() - least, useless ? order.size() : std::size_t(count));
+  std::vector<std::int32_t> gone;
+  for (const std::int32_t k : order) {
+    if (gone.size() == most || (useless ? lost[k] > 0 : gone.size() > order.size() / 10)) break;
+    if (useless && loss(k) > 0) continue;
+    leave(k);
+    gone.push_back(k);
+  }
+  std::sort(gone.rbegin(), gone.rend());
+  for (const std::int32_t k : gone) {
+    const std::int32_t last = std::int32_t(balls_.size()) - 1;
+    if (k != last) {
+      leave(last);
+      balls_[k] = balls_[last];
+      enter(k);
+    }
+    balls_.pop_back();
+  }
+  return int(gone.size());
+}
+
+int CoverFit::add(int count, int candidates) {
+  int added = 0;
+  while (added < count) {
+    std::vector<std::int32_t> targets = bare();
+    if (targets.empty()) break;
+    const std::size_t some = std::min<std::size_t>({std::size_t(count - added), kBlock, targets.size()});
+    std::vector<Move> moves(some);
+    const std::uint64_t seed = random_.next();
+    in_parallel(some, [&](std::size_t k, Scratch&) {
+      Random random{seed + k * 0x2545f4914f6cdd1dull};
+      // Of a few bare samples the one with most to gain.
+      double most = 0;
+      for (int turn = 0; turn < 4; ++turn) {
+        const auto ball = best_at(std::size_t(targets[random.below(targets.size())]), candidates, random);
+        const double now = ball ? gain(*ball) : 0;
+        if (now > most) most = now, moves[k].in = ball;
+      }
+    });
+    int now = 0;
+    for (const Move& move : moves) {
+      if (!move.in || gain(*move.in) <= 0) continue;
+      balls_.push_back(*move.in);
+      enter(std::int32_t(balls_.size()) - 1);
+      ++now;
+    }
+    if (!now) break;
+    added += now;
+  }
+  return added;
+}
+
+}  // namespace palmar

@@ -1,0 +1,109 @@
+// Balls inside a solid, moved and exchanged until few samples of its surface lie farther out than a budget.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <vector>
+
+#include "algebra.h"
+#include "point_tree.h"
+#include "triangle_tree.h"
+
+namespace palmar {
+
+// A centre inside the solid, its exact distance to the surface, and where it touches.
+struct InsideBall {
+  Vec3 center;
+  double inside;
+  std::int32_t face;
+};
+
+// splitmix64 (Steele, Lea, Flood 2014): the same numbers on every machine.
+struct Random {
+  std::uint64_t state;
+  std::uint64_t next();
+  double uniform() { return double(next() >> 11) * 0x1p-53; }
+  std::size_t below(std::size_t n) { return std::size_t(uniform() * double(n)); }
+  Vec3 in_ball();  // of radius 1
+};
+
+// The largest ball tangent at a surface point that the surface enters by at most `slack` (Ma, Bae, Choi 2012), shrunk
+// from the radius `start`; nothing where it would lie outside.
+std::optional<InsideBall> shoot(const TriangleTree& tree, const Vec3& point, const Vec3& inward, std::int32_t face,
+                                double slack, double start);
+
+struct Samples {
+  std::vector<Vec3> points, inward;
+  std::vector<std::int32_t> faces;
+};
+
+// The gap of a sample is the least of |sample - centre| - inside over all balls. It costs 0 up to the budget's low end,
+// 1 from its high end on, straight between them. Every search below lowers the sum. Its result depends on the seed but
+// not on the number of threads: places are judged in blocks against one state, then taken one by one if still better.
+class CoverFit {
+ public:
+  CoverFit(const TriangleTree& tree, const Samples& samples, std::uint64_t seed, int threads);
+
+  // The first `fixed` balls stay where they are.
+  void set_balls(std::vector<InsideBall> balls, int fixed);
+  const std::vector<InsideBall>& balls() const { return balls_; }
+  void set_budget(double low, double high);
+
+  // The gap that `share` of the samples do not exceed, as far as it lies below the budget's high end.
+  double quantile(double share) const;
+  // Each ball tries `moves` places up to `step` discs away, worse ones too at a temperature (in samples). Returns how
+  // many balls moved.
+  int polish(double step, int moves, double temperature);
+  // Takes balls of little use out and puts them where samples are bare, `trials` times. Returns how many were moved.
+  int exchange(int trials, int candidates);
+  // Takes the `count` balls of least use out, one at least staying; and those without which no sample costs more.
+  void remove(int count);
+  void remove_useless();
+  // Puts up to `count` balls where samples are most bare. Returns how many.
+  int add(int count, int candidates);
+
+ private:
+  static constexpr int kKept = 6;
+  struct Seen {
+    std::int32_t ball[kKept];  // those with the least gaps, in order
+    float gap[kKept];
+  };
+  struct Scratch {
+    std::vector<std::uint32_t> stamp;
+    std::uint32_t now = 0;
+  };
+  struct Move {
+    std::int32_t out;
+    std::optional<InsideBall> in;
+  };
+  double cost_of(float gap) const { return gap <= low_ ? 0.0 : gap >= high_ ? 1.0 : (double(gap) - low_) * slope_; }
+  double disc(const InsideBall& ball) const;
+  int take_out(int count, bool useless);
+  void enter(std::int32_t ball);
+  void leave(std::int32_t ball);
+  double change(std::int32_t ball, const InsideBall& other, Scratch& scratch) const;
+  double gain(const InsideBall& ball) const;
+  double loss(std::int32_t ball) const;
+  std::vector<double> losses() const;
+  Vec3 pull(std::int32_t ball) const;
+  std::optional<InsideBall> moved(const InsideBall& ball, const Vec3& shift, Random& random) const;
+  std::optional<InsideBall> walk(std::int32_t ball, double step, int moves, double temperature, Random random,
+                                 Scratch& scratch) const;
+  std::optional<InsideBall> best_at(std::size_t sample, int candidates, Random& random) const;
+  std::vector<std::int32_t> bare() const;
+  void in_parallel(std::size_t count, const std::function<void(std::size_t, Scratch&)>& work);
+
+  const TriangleTree& tree_;
+  PointTree samples_;
+  std::vector<Vec3> points_, inward_;
+  std::vector<std::int32_t> faces_;
+  std::vector<InsideBall> balls_;
+  std::size_t fixed_ = 0;
+  std::vector<Seen> seen_;
+  std::vector<Scratch> scratch_;  // one a thread
+  double low_ = 0, high_ = 0, slope_ = 0, budget_ = 0;
+  Random random_;
+};
+
+}  // namespace palmar

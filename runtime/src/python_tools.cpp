@@ -1,0 +1,105 @@
+// The Python face of what the sphere trees' tools need.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/unique_ptr.h>
+
+#include <memory>
+
+#include "cover_fit.h"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace palmar {
+
+void bind_tools(nb::module_& m);
+
+namespace {
+
+using Rows3 = nb::ndarray<const double, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
+using Rows4 = nb::ndarray<const double, nb::shape<-1, 4>, nb::c_contig, nb::device::cpu>;
+using Faces = nb::ndarray<const std::int64_t, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
+using Numbers = nb::ndarray<const std::int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+std::vector<Vec3> to_points(const Rows3& rows) {
+  std::vector<Vec3> points(rows.shape(0));
+  for (std::size_t k = 0; k < points.size(); ++k) points[k] = Vec3(rows(k, 0), rows(k, 1), rows(k, 2));
+  return points;
+}
+
+nb::object to_rows(const std::vector<InsideBall>& balls) {
+  double* values = new double[balls.size() * 4 + 1];
+  const nb::capsule owner(values, [](void* p) noexcept { delete[] static_cast<double*>(p); });
+  for (std::size_t k = 0; k < balls.size(); ++k) {
+    const double row[4] = {balls[k].center.x(), balls[k].center.y(), balls[k].center.z(), balls[k].inside};
+    std::copy_n(row, 4, values + 4 * k);
+  }
+  return nb::cast(nb::ndarray<nb::numpy, double>(values, {balls.size(), 4}, owner));
+}
+
+std::unique_ptr<TriangleTree> make_tree(const Rows3& vertices, const Faces& faces) {
+  std::vector<std::array<std::int32_t, 3>> corners(faces.shape(0));
+  for (std::size_t k = 0; k < corners.size(); ++k) {
+    for (std::size_t axis = 0; axis < 3; ++axis) corners[k][axis] = std::int32_t(faces(k, axis));
+  }
+  return std::make_unique<TriangleTree>(to_points(vertices), corners);
+}
+
+nb::object shoot_all(const TriangleTree& tree, const Rows3& points, const Rows3& inward, const Numbers& faces,
+                     double slack, double start) {
+  std::vector<InsideBall> balls;
+  for (std::size_t k = 0; k < points.shape(0); ++k) {
+    const auto ball = shoot(tree, Vec3(points(k, 0), points(k, 1), points(k, 2)),
+                            Vec3(inward(k, 0), inward(k, 1), inward(k, 2)), std::int32_t(faces(k)), slack, start);
+    if (ball) balls.push_back(*ball);
+  }
+  return to_rows(balls);
+}
+
+// Rows of centres, with or without a fourth column, and their exact distance to the surface.
+template <class Rows>
+std::vector<InsideBall> to_balls(const TriangleTree& tree, const Rows& rows) {
+  std::vector<InsideBall> balls;
+  for (std::size_t k = 0; k < rows.shape(0); ++k) {
+    const Vec3 center(rows(k, 0), rows(k, 1), rows(k, 2));
+    const Closest found = tree.closest(center);
+    balls.push_back({center, std::sqrt(found.squared), found.face});
+  }
+  return balls;
+}
+
+}  // namespace
+
+void bind_tools(nb::module_& m) {
+  nb::class_<TriangleTree>(m, "TriangleTree")
+      .def(nb::new_([](const Rows3& vertices, const Faces& faces) { return make_tree(vertices, faces); }), "vertices"_a,
+           "faces"_a)
+      .def("shoot", &shoot_all, "points"_a, "inward"_a, "faces"_a, "slack"_a, "start"_a)
+      .def(
+          "distances", [](const TriangleTree& tree, const Rows3& centers) { return to_rows(to_balls(tree, centers)); },
+          "centers"_a);
+  nb::class_<CoverFit>(m, "CoverFit")
+      .def(nb::new_([](const TriangleTree& tree, const Rows3& points, const Rows3& inward, const Numbers& faces,
+                       std::uint64_t seed, int threads) {
+             Samples samples{to_points(points), to_points(inward), {}};
+             for (std::size_t k = 0; k < faces.shape(0); ++k) samples.faces.push_back(std::int32_t(faces(k)));
+             return std::make_unique<CoverFit>(tree, samples, seed, threads);
+           }),
+           "tree"_a, "points"_a, "inward"_a, "faces"_a, "seed"_a, "threads"_a, nb::keep_alive<0, 1>())
+      .def(
+          "set_balls",
+          [](CoverFit& fit, const TriangleTree& tree, const Rows4& rows, int fixed) {
+            fit.set_balls(to_balls(tree, rows), fixed);
+          },
+          "tree"_a, "balls"_a, "fixed"_a = 0)
+      .def("balls", [](const CoverFit& fit) { return to_rows(fit.balls()); })
+      .def("set_budget", &CoverFit::set_budget, "low"_a, "high"_a)
+      .def("quantile", &CoverFit::quantile, "share"_a)
+      .def("polish", &CoverFit::polish, "step"_a, "moves"_a, "temperature"_a)
+      .def("exchange", &CoverFit::exchange, "trials"_a, "candidates"_a)
+      .def("remove", &CoverFit::remove, "count"_a)
+      .def("remove_useless", &CoverFit::remove_useless)
+      .def("add", &CoverFit::add, "count"_a, "candidates"_a);
+}
+
+}  // namespace palmar
