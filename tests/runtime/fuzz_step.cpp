@@ -27,6 +27,8 @@ constexpr double kLongestFreeze = 20;  // milliseconds
 constexpr int kBruteEveryStep = 3000;  // spheres; above, every tenth step is judged, and every unusual one
 constexpr std::uint32_t kUnusual = kRecovering | kKeptPrevious | kBadSample;
 constexpr double kLimitRounding = 1e-7;  // rad; a programme meets bounds to 1e-9 m at 50 mm
+constexpr double kStill = 1e-8;          // metres in a step
+constexpr double kTargetMoves = 1e-4;    // metres in a step
 constexpr double kDegrees = 180 / M_PI;
 
 struct Options {
@@ -40,9 +42,10 @@ struct Options {
 };
 
 struct Figures {
-  long steps = 0, judged = 0, deep = 0, not_finite = 0, frozen = 0, over_limit = 0, differs = 0, in_contact = 0;
-  double deepest_m = 0, longest_freeze_ms = 0, joint_excess_deg = 0, worst_us = 0;
-  long deepest_step = -1, worst_step = -1, most_operations_step = -1, freeze_step = -1;
+  long steps = 0, judged = 0, deep = 0, not_finite = 0, frozen = 0, over_limit = 0, differs = 0, in_contact = 0,
+       late = 0, stuck = 0;
+  double deepest_m = 0, longest_freeze_ms = 0, longest_stuck_ms = 0, joint_excess_deg = 0, worst_us = 0;
+  long deepest_step = -1, worst_step = -1, most_operations_step = -1, freeze_step = -1, stuck_step = -1;
   std::uint32_t most_operations = 0;
   std::vector<double> us;
 };
@@ -164,6 +167,10 @@ double beyond_limits(const HandModel& hand, const HandPose& pose) {
   return most;
 }
 
+double moved(const HandModel& hand, const HandPose& a, const HandPose& b) {
+  return largest_motion(hand, place_hand(hand, to_configuration(a)), place_hand(hand, to_configuration(b)));
+}
+
 // How much more than the haptic joint, and than one degree, a joint moved in the step.
 double joint_excess_deg(const StepResult& before, const StepResult& now) {
   double most = 0;
@@ -179,10 +186,11 @@ void run_episode(const HandModel& hand, const std::vector<Sphere>& leaves, const
                  const Settings& settings, std::vector<Sample> samples, Clock::time_point deadline, Figures& all) {
   const std::size_t first = all.us.size();
   std::vector<std::uint64_t> hashes;
-  double frozen_since = -1;
+  double frozen_since = -1, stuck_since = -1;
   {
     Session session(hand, leaves, settings);
     StepResult before;
+    HandPose graphic_before, haptic_before;
     for (std::size_t i = 0; i < samples.size(); ++i) {
       if (i > 0 && Clock::now() > deadline) samples.resize(i);
       if (i == samples.size()) break;
@@ -199,6 +207,19 @@ void run_episode(const HandModel& hand, const std::vector<Sphere>& leaves, const
       if (beyond > kLimitRounding && all.over_limit++ < 3)
         std::printf("  step %ld: %.3g rad over a joint limit, status %u\n", step, beyond, r.status);
       if (i > 0) all.joint_excess_deg = std::max(all.joint_excess_deg, joint_excess_deg(before, r));
+      // Status apart: does it stand still, seen from the object, while its target moves? Rightly so where contacts hold
+      // it on all sides; a long time of it is a freeze that does not say so.
+      all.late += (r.status & kIterationLimit) != 0;
+      const HandPose graphic = made::seen_from(samples[i].object, r.graphic);
+      const HandPose haptic = made::seen_from(samples[i].object, r.haptic);
+      if (i > 0 && moved(hand, graphic_before, graphic) > kStill) stuck_since = -1;
+      if (i > 0 && stuck_since < 0 && moved(hand, graphic_before, graphic) <= kStill) stuck_since = samples[i].time_s;
+      if (i > 0 && stuck_since >= 0 && moved(hand, haptic_before, haptic) > kTargetMoves) {
+        ++all.stuck;
+        const double length = 1e3 * (samples[i].time_s - stuck_since);
+        if (length > all.longest_stuck_ms) all.longest_stuck_ms = length, all.stuck_step = step;
+      }
+      graphic_before = graphic, haptic_before = haptic;
       before = r;
 
       if (r.status & kKeptPrevious) {
@@ -257,17 +278,19 @@ bool run(const Options& options, const HandModel& hand, const Settings& settings
     run_episode(hand, leaves, brute, settings, std::move(samples), end_after(0.67), f);
   } while (steps > 0 ? f.steps < steps : Clock::now() < end_after(0.67));
 
-  std::printf("%-5s %6d %8ld %8ld %5.1f %9.6f %5ld %4ld %4ld %5ld %6.1f %6.2f %7.1f %7.1f %7.1f %8.1f %8u\n",
-              name.c_str(), spheres, f.steps, f.judged, 100.0 * double(f.in_contact) / double(f.steps),
-              1e3 * f.deepest_m, f.deep, f.not_finite, f.over_limit, f.frozen, f.longest_freeze_ms, f.joint_excess_deg,
-              made::quantile(f.us, 0.5), made::quantile(f.us, 0.99), made::quantile(f.us, 0.999), f.worst_us,
-              f.most_operations);
-  const bool frozen = f.frozen > 1 || f.longest_freeze_ms > kLongestFreeze;
+  std::printf(
+      "%-5s %6d %8ld %8ld %5.1f %9.6f %5ld %4ld %4ld %5ld %6.1f %5ld %6.0f %5.1f %6.2f %7.1f %7.1f %7.1f %8.1f %8u\n",
+      name.c_str(), spheres, f.steps, f.judged, 100.0 * double(f.in_contact) / double(f.steps), 1e3 * f.deepest_m,
+      f.deep, f.not_finite, f.over_limit, f.frozen, f.longest_freeze_ms, f.stuck, f.longest_stuck_ms,
+      100.0 * double(f.late) / double(f.steps), f.joint_excess_deg, made::quantile(f.us, 0.5),
+      made::quantile(f.us, 0.99), made::quantile(f.us, 0.999), f.worst_us, f.most_operations);
+  const bool frozen = f.frozen > 1 || std::max(f.longest_freeze_ms, f.longest_stuck_ms) > kLongestFreeze;
   const bool bad = f.deep > 0 || f.not_finite > 0 || f.over_limit > 0 || f.differs > 0 || frozen;
   if (bad || f.worst_us > 1000) {
     std::printf("  slowest step %ld, most operations at step %ld", f.worst_step, f.most_operations_step);
     if (f.deep > 0) std::printf(", deepest at step %ld", f.deepest_step);
     if (f.frozen > 0) std::printf(", longest freeze up to step %ld", f.freeze_step);
+    if (f.stuck > 0) std::printf(", longest still up to step %ld", f.stuck_step);
     if (f.differs > 0) std::printf(", %ld steps differ when repeated", f.differs);
     std::printf("\n  again: fuzz_step --seed %llu --object %s --spheres %d --steps %ld%s\n",
                 (unsigned long long)options.seed, name.c_str(), spheres, f.steps, options.given.c_str());
@@ -276,7 +299,8 @@ bool run(const Options& options, const HandModel& hand, const Settings& settings
   all.steps += f.steps, all.judged += f.judged, all.deep += f.deep, all.not_finite += f.not_finite;
   all.frozen += f.frozen, all.over_limit += f.over_limit, all.differs += f.differs;
   all.deepest_m = std::max(all.deepest_m, f.deepest_m);
-  all.longest_freeze_ms = std::max(all.longest_freeze_ms, f.longest_freeze_ms);
+  all.longest_freeze_ms = std::max({all.longest_freeze_ms, f.longest_freeze_ms, f.longest_stuck_ms});
+  all.stuck += f.stuck, all.late += f.late;
   all.joint_excess_deg = std::max(all.joint_excess_deg, f.joint_excess_deg);
   all.worst_us = std::max(all.worst_us, f.worst_us);
   all.most_operations = std::max(all.most_operations, f.most_operations);
@@ -324,11 +348,11 @@ int main(int argc, char** argv) {
     const HandModel hand = made::hand();
     std::printf("%s\nseed %llu; microseconds are thread CPU time, the lesser of two runs\n", made::machine().c_str(),
                 (unsigned long long)options.seed);
-    std::printf("%-5s %6s %8s %8s %5s %9s %5s %4s %4s %5s %6s %6s %7s %7s %7s %8s %8s\n", "", "leaves", "steps",
-                "judged", "touch", "deepest", "deep", "nan", "lim", "kept", "longst", "joint", "p50", "p99", "p99.9",
-                "max", "most");
-    std::printf("%-5s %6s %8s %8s %5s %9s %5s %4s %4s %5s %6s %6s %7s %7s %7s %8s %8s\n", "", "", "", "", "%", "mm", "",
-                "", "", "", "ms", "deg", "us", "us", "us", "us", "ops");
+    std::printf("%-5s %6s %8s %8s %5s %9s %5s %4s %4s %5s %6s %5s %6s %5s %6s %7s %7s %7s %8s %8s\n", "", "leaves",
+                "steps", "judged", "touch", "deepest", "deep", "nan", "lim", "kept", "longst", "still", "longst",
+                "late", "joint", "p50", "p99", "p99.9", "max", "most");
+    std::printf("%-5s %6s %8s %8s %5s %9s %5s %4s %4s %5s %6s %5s %6s %5s %6s %7s %7s %7s %8s %8s\n", "", "", "", "",
+                "%", "mm", "", "", "", "", "ms", "", "ms", "%", "deg", "us", "us", "us", "us", "ops");
     const double runs = double(options.objects.size() * options.spheres.size());
     Figures all;
     bool good = true;
@@ -341,11 +365,12 @@ int main(int argc, char** argv) {
     good = all.deep == 0 && all.not_finite == 0 && all.over_limit == 0 && all.differs == 0 && !frozen;
     std::printf(
         "%ld steps, %ld judged: deepest %.6f mm, %ld deeper than 0.001 mm, %ld not finite, %ld over a limit, %ld kept "
-        "(longest %.1f ms), %ld differ when repeated, joints up to %.2f deg beyond the haptic step, worst %.1f us, "
+        "and %ld still (longest %.1f ms), %.1f %% at the iteration limit, %ld differ when repeated, joints up to %.2f "
+        "deg beyond the haptic step, worst %.1f us, "
         "%u operations\n%s\n",
-        all.steps, all.judged, 1e3 * all.deepest_m, all.deep, all.not_finite, all.over_limit, all.frozen,
-        all.longest_freeze_ms, all.differs, all.joint_excess_deg, all.worst_us, all.most_operations,
-        good ? "passed" : "FAILED");
+        all.steps, all.judged, 1e3 * all.deepest_m, all.deep, all.not_finite, all.over_limit, all.frozen, all.stuck,
+        all.longest_freeze_ms, 100.0 * double(all.late) / double(all.steps), all.differs, all.joint_excess_deg,
+        all.worst_us, all.most_operations, good ? "passed" : "FAILED");
     return good ? 0 : 1;
   } catch (const Error& e) {
     std::fprintf(stderr, "%s\n", e.what());
