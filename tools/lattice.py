@@ -22,6 +22,7 @@ from palmar.errors import PalmarError
 from palmar.model import SphereTree
 from palmar.tools.cover import union_gap
 from palmar.tools.hierarchy import levels_over
+from palmar.tools.pack import SHAPE, Source, build_object
 from palmar.tools.solid import make_solid, sample_surface, signed_distance
 from palmar.tools.toml_file import check_keys, is_number
 
@@ -66,11 +67,9 @@ def lattice_object(table: dict[str, Any], where: str = "object") -> SphereTree:
         raise PalmarError(
             "E-CONF", f"{where}:pitch_m", f"{len(layout.spheres)} spheres; up to {MOST_SPHERES} are allowed"
         )
-    turn = Rotation.from_rotvec(_vector(table, "turn_rad", where))
-    position = _vector(table, "position_m", where)
-    leaves = np.column_stack([turn.apply(layout.spheres[:, :3]) + position, layout.spheres[:, 3]])
     mesh = layout.solid.to_mesh64()
-    vertices = turn.apply(np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3] / MM) + position
+    corners = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3] / MM
+    leaves, vertices = _place(layout.spheres, corners, table, where)
     faces = np.asarray(mesh.tri_verts, dtype=np.int32)
     levels, parents = levels_over(leaves)
     said = json.dumps(table, sort_keys=True)
@@ -87,6 +86,22 @@ def lattice_object(table: dict[str, Any], where: str = "object") -> SphereTree:
     return SphereTree(levels, parents, vertices, faces, about)
 
 
+def scene_object(table: dict[str, Any], where: str = "object") -> SphereTree:
+    """The object of a scene's table: a kind of this file, or `shape:NAME` with so many `spheres`, built, then placed.
+
+    Raises BadPack, BadMesh or PalmarError.
+    """
+    kind = str(table.get("kind", ""))
+    if not kind.startswith(SHAPE):
+        return lattice_object(table, where)
+    check_keys(where, table, ["kind", "spheres", "position_m", "turn_rad"], ["spheres"])
+    tree, _ = build_object(Source("object", kind, spheres=table["spheres"]), 0, lambda text, fraction: None)
+    leaves, vertices = _place(tree.leaves, tree.vertices_m, table, where)
+    levels, parents = levels_over(leaves)
+    figures = [*({"spheres": len(level)} for level in levels[:-1]), tree.about["levels"][-1]]
+    return SphereTree(levels, parents, vertices, tree.faces, {**tree.about, "levels": figures})
+
+
 def leaf_errors(leaves: Array, vertices: Array, faces: NDArray[np.int32]) -> dict[str, Any]:
     """How far the mesh is beyond the spheres, of samples by area, and each sphere beyond the mesh, millimetres."""
     solid = make_solid(vertices, faces)
@@ -97,6 +112,12 @@ def leaf_errors(leaves: Array, vertices: Array, faces: NDArray[np.int32]) -> dic
         for name, x in (("gap_mm", gap), ("protrusion_mm", out))
     }
     return {"spheres": len(leaves), **figures}
+
+
+def _place(spheres: Array, vertices: Array, table: dict[str, Any], where: str) -> tuple[Array, Array]:
+    """Spheres (n, 4) and vertices (v, 3) turned and then moved as the table says."""
+    turn, position = Rotation.from_rotvec(_vector(table, "turn_rad", where)), _vector(table, "position_m", where)
+    return np.column_stack([turn.apply(spheres[:, :3]) + position, spheres[:, 3]]), turn.apply(vertices) + position
 
 
 def _vector(table: dict[str, Any], key: str, where: str) -> Array:

@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,11 @@ from palmar.eval.case import Case
 from palmar.eval.metrics import margin_db, measure, worst_margin
 from palmar.eval.table import METRICS
 from palmar.files import nearest
-from palmar.model import AssetPack, HandModel, SphereTree, load_pack, save_pack, write_whole
+from palmar.model import AssetPack, load_pack, save_pack, write_whole
 from palmar.records import Run, read_run, write_trace
 from palmar.replay import replay_file
 from palmar.tools.hand_file import default_hand
-from palmar.tools.lattice import lattice_object
-from palmar.tools.pack import SHAPE, Source, build_object
+from palmar.tools.lattice import scene_object
 from palmar.traces.keyframes import key_trace
 from palmar.traces.scene_file import Sampled, cases_of, check_scene
 from palmar.traces.scripted import SCENES, load_scene
@@ -143,7 +143,8 @@ def check_scenes(
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     tallies: list[Tally] = []
-    built: dict[str, SphereTree] = {}  # shapes that take long to build, by what was asked
+    # Cases that differ in the motion alone share their object.
+    object_of = lru_cache(maxsize=8)(lambda asked: scene_object(json.loads(asked)))
     with tempfile.TemporaryDirectory(prefix="palmar-check-") as folder:
         for number, (keys, where, _) in enumerate(loaded):
             cases = cases_of(keys, where.name)[: 1 if quick else None]
@@ -153,7 +154,9 @@ def check_scenes(
                 scene = check_scene(table, where.name)
                 assert isinstance(scene, Sampled)
                 _require_known(scene, where)
-                pack = make_pack(Path(folder), scene, hand, built)
+                tree = object_of(json.dumps(scene.object, sort_keys=True))
+                pack = Path(folder) / "object.pack"
+                save_pack(pack, AssetPack(hand, {"object": tree}, {"tools": {}, "seed": 0}))
                 for tally in of_scene.values():
                     _run_case(Path(folder), pack, scene, case, tally, settings or {}, quick, out)
             if scene.same_end_force_n is not None:
@@ -176,23 +179,6 @@ def suite() -> list[str]:
     """The scenes of the stability suite: all that stand for themselves, by name."""
     names = sorted(path.stem for path in SCENES.glob("*.toml"))
     return [name for name in names if load_scene(name)[0]["kind"] != "grasp"]
-
-
-def make_pack(folder: Path, scene: Sampled, hand: HandModel, built: dict[str, SphereTree]) -> Path:
-    """A pack of the hand and the scene's object; a shape of the builder's is built once and kept in `built`."""
-    table = dict(scene.object)
-    kind = str(table.get("kind", ""))
-    if kind.startswith(SHAPE):
-        asked = json.dumps(table, sort_keys=True)
-        if asked not in built:
-            source = Source("object", kind, spheres=int(table.get("spheres", 500)), size_mm=table.get("size_mm"))
-            built[asked], _ = build_object(source, 0, lambda text, fraction: None)
-        tree = built[asked]
-    else:
-        tree = lattice_object(table, "object")
-    path = folder / "object.pack"
-    save_pack(path, AssetPack(hand, {"object": tree}, {"tools": {}, "seed": 0}))
-    return path
 
 
 def _run_case(
