@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from palmar.errors import PalmarError
 from palmar.tools.lattice import KINDS, lattice_object, scene_object
+from palmar.tools.shapes import SHAPES
 
 # Solids are made of circles with 96 edges, which cut off r (1 - cos(pi / 96)) < 0.054 % of a radius, and of balls with
 # facets that cut off twice that; the largest round part has 40 mm.
@@ -112,10 +113,10 @@ def test_a_mistake_in_the_table_is_named(table, said):
 
 
 def test_a_built_in_shape_is_built_and_then_placed():
-    here = scene_object({"kind": "shape:sphere", "spheres": 8})
-    there = scene_object({"kind": "shape:sphere", "spheres": 8, "position_m": [0.1, 0.0, 0.0]})
-    np.testing.assert_allclose(there.leaves[:, :3], here.leaves[:, :3] + np.array([0.1, 0.0, 0.0]), atol=1e-15)
-    np.testing.assert_allclose(there.vertices_m, here.vertices_m + np.array([0.1, 0.0, 0.0]), atol=1e-15)
-    assert there.about["levels"][-1] == here.about["levels"][-1]
+    tree = scene_object({"kind": "shape:sphere", "spheres": 8, "position_m": [0.1, 0.0, 0.0]})
+    np.testing.assert_allclose(tree.vertices_m, SHAPES["sphere"]()[0] + np.array([0.1, 0.0, 0.0]), atol=1e-15)
+    # Eight spheres stand for one of 40 mm: none has its centre outside, and together they are about the same middle.
+    assert np.linalg.norm(tree.leaves[:, :3] - [0.1, 0.0, 0.0], axis=1).max() < 0.04
+    assert len(tree.about["levels"]) == len(tree.levels)
     with pytest.raises(PalmarError, match=r"E-CONF object:spheres: is missing"):
         scene_object({"kind": "shape:sphere"})
