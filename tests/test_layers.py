@@ -13,8 +13,8 @@ KNOW_ALL = ("cli", "demo", "check")
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [
     "error records algebra crc32 cdr mcap wide",
-    "triangle_tree point_tree sphere_tree hand schemas mcap_reader mcap_writer",
-    "cover_fit object gap qp pack_file resample channels",
+    "random triangle_tree point_tree sphere_tree hand schemas mcap_reader mcap_writer",
+    "cover_fit sphere_union object gap qp pack_file resample channels",
     "contacts trace_file run_file",
     "force filter release",
     "solver",

@@ -61,6 +61,14 @@ class Session:
     ) -> dict[str, Any]:
         """One step towards the haptic hand given: one row of `palmar.records.Run`, `contacts` as a list of dicts."""
 
+def union_gaps(spheres: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Distance (n,) from points (n, 3) to the union of spheres (m, 4), exact where positive; 0 or below is inside."""
+
+def union_skin(
+    spheres: np.ndarray, offset: float, spacing: float, seed: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Samples of the skin of spheres (m, 4) grown by offset: sphere (n,), direction (n, 3), solid angle (n,)."""
+
 class TriangleTree:
     """Exact distances to a mesh: vertices (v, 3) and faces (f, 3), int64."""
 

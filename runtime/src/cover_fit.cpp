@@ -23,20 +23,6 @@ double tangent_radius(const Vec3& point, const Vec3& inward, const Vec3& other, 
 
 }  // namespace
 
-std::uint64_t Random::next() {
-  std::uint64_t z = (state += 0x9e3779b97f4a7c15ull);
-  z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ull;
-  z = (z ^ (z >> 27)) * 0x94d049bb133111ebull;
-  return z ^ (z >> 31);
-}
-
-Vec3 Random::in_ball() {
-  for (;;) {
-    const double x = 2 * uniform() - 1, y = 2 * uniform() - 1, z = 2 * uniform() - 1;
-    if (x * x + y * y + z * z <= 1) return {x, y, z};
-  }
-}
-
 std::optional<InsideBall> shoot(const TriangleTree& tree, const Vec3& point, const Vec3& inward, std::int32_t face,
                                 double slack, double start) {
   const double rounding = kRounding * tree.size();
@@ -59,13 +45,12 @@ std::optional<InsideBall> shoot(const TriangleTree& tree, const Vec3& point, con
 }
 
 CoverFit::CoverFit(const TriangleTree& tree, const Samples& samples, std::uint64_t seed, int threads)
-    : tree_(tree), samples_(samples.points), seen_(samples.points.size()), scratch_(threads), random_{seed} {
+    : tree_(tree), samples_(samples.points), seen_(samples.points.size()), threads_(threads), random_{seed} {
   for (const std::int32_t s : samples_.order()) {
     points_.push_back(samples.points[s]);
     inward_.push_back(samples.inward[s]);
     faces_.push_back(samples.faces[s]);
   }
-  for (Scratch& scratch : scratch_) scratch.stamp.assign(points_.size(), 0);
 }
 
 double CoverFit::disc(const InsideBall& ball) const { return std::sqrt(2 * ball.inside * budget_ + budget_ * budget_); }
@@ -130,34 +115,14 @@ double CoverFit::quantile(double share) const {
   return *at;
 }
 
-double CoverFit::change(std::int32_t index, const InsideBall& other, Scratch& scratch) const {
-  double sum = 0;
-  if (++scratch.now == 0) {
-    std::fill(scratch.stamp.begin(), scratch.stamp.end(), 0);
-    scratch.now = 1;
-  }
-  const float inside = float(other.inside);
-  samples_.within(other.center, other.inside + high_, [&](std::int32_t s, float distance) {
-    scratch.stamp[s] = scratch.now;
-    const Seen& seen = seen_[s];
-    const float rest = seen.ball[0] == index ? seen.gap[1] : seen.gap[0];
-    const float gap = std::min(distance - inside, rest);
-    if (gap != seen.gap[0]) sum += cost_of(gap) - cost_of(seen.gap[0]);
-  });
-  const InsideBall& ball = balls_[index];
-  samples_.within(ball.center, ball.inside + high_, [&](std::int32_t s, float) {
-    const Seen& seen = seen_[s];
-    if (seen.ball[0] == index && scratch.stamp[s] != scratch.now) sum += cost_of(seen.gap[1]) - cost_of(seen.gap[0]);
-  });
-  return sum;
-}
-
-double CoverFit::gain(const InsideBall& ball) const {
+double CoverFit::gain(const InsideBall& ball, std::int32_t without) const {
   double sum = 0;
   const float inside = float(ball.inside);
   samples_.within(ball.center, ball.inside + high_, [&](std::int32_t s, float distance) {
-    const float gap = distance - inside, now = seen_[s].gap[0];
-    if (gap < now) sum += cost_of(now) - cost_of(gap);
+    const Seen& seen = seen_[s];
+    const float rest = seen.ball[0] == without ? seen.gap[1] : seen.gap[0];
+    const float gap = distance - inside;
+    if (gap < rest) sum += cost_of(rest) - cost_of(gap);
   });
   return sum;
 }
@@ -205,9 +170,10 @@ std::optional<InsideBall> CoverFit::moved(const InsideBall& ball, const Vec3& sh
   return shoot(tree_, found.point, inward, found.face, slack, distance + 2 * far + slack);
 }
 
-std::optional<InsideBall> CoverFit::walk(std::int32_t index, double step, int moves, double temperature, Random random,
-                                         Scratch& scratch) const {
+std::optional<InsideBall> CoverFit::walk(std::int32_t index, double step, int moves, double temperature,
+                                         Random random) const {
   InsideBall at = balls_[index];
+  const double own = loss(index);
   double worse_at = 0;
   bool left = false;
   const Vec3 towards = pull(index);
@@ -219,7 +185,7 @@ std::optional<InsideBall> CoverFit::walk(std::int32_t index, double step, int mo
     again.setZero();
     const auto other = moved(at, shift, random);
     if (!other) continue;
-    const double worse = change(index, *other, scratch);
+    const double worse = own - gain(*other, index);
     const bool better = worse < worse_at;
     if (better || (temperature > 0 && random.uniform() < std::exp((worse_at - worse) / temperature))) {
       if (better) again = other->center - at.center;
@@ -231,10 +197,10 @@ std::optional<InsideBall> CoverFit::walk(std::int32_t index, double step, int mo
   return left ? std::optional(at) : std::nullopt;
 }
 
-void CoverFit::in_parallel(std::size_t count, const std::function<void(std::size_t, Scratch&)>& work) {
-  const std::size_t threads = std::min(scratch_.size(), count);
+void CoverFit::in_parallel(std::size_t count, const std::function<void(std::size_t)>& work) const {
+  const std::size_t threads = std::min(std::size_t(threads_), count);
   const auto share = [&](std::size_t thread) {
-    for (std::size_t k = thread; k < count; k += threads) work(k, scratch_[thread]);
+    for (std::size_t k = thread; k < count; k += threads) work(k);
   };
   std::vector<std::thread> others;
   for (std::size_t thread = 1; thread < threads; ++thread) others.emplace_back(share, thread);
@@ -251,13 +217,13 @@ int CoverFit::polish(double step, int moves, double temperature) {
   for (std::size_t first = 0; first < order.size(); first += kBlock) {
     const std::size_t count = std::min(kBlock, order.size() - first);
     const std::uint64_t seed = random_.next();
-    in_parallel(count, [&](std::size_t k, Scratch& scratch) {
-      found[k] = walk(order[first + k], step, moves, temperature, Random{seed + k * 0x2545f4914f6cdd1dull}, scratch);
+    in_parallel(count, [&](std::size_t k) {
+      found[k] = walk(order[first + k], step, moves, temperature, Random{seed + k * 0x2545f4914f6cdd1dull});
     });
     for (std::size_t k = 0; k < count; ++k) {
       if (!found[k]) continue;
       const std::int32_t index = order[first + k];
-      const double worse = change(index, *found[k], scratch_[0]);
+      const double worse = loss(index) - gain(*found[k], index);
       if (worse < 0 || (temperature > 0 && random_.uniform() < std::exp(-worse / temperature))) {
         leave(index);
         balls_[index] = *found[k];
@@ -273,7 +239,7 @@ std::optional<InsideBall> CoverFit::best_at(std::size_t sample, int candidates, 
   std::optional<InsideBall> best;
   double most = 0;
   const auto judge = [&](const std::optional<InsideBall>& ball) {
-    const double now = ball ? gain(*ball) : 0;
+    const double now = ball ? gain(*ball, kNone) : 0;
     if (now > most) most = now, best = ball;
   };
   const Vec3 &from = points_[sample], &inward = inward_[sample];
@@ -316,7 +282,7 @@ int CoverFit::exchange(int trials, int candidates) {
     if (targets.empty()) break;
     const std::size_t count = std::min(kBlock, std::size_t(trials - first));
     const std::uint64_t seed = random_.next();
-    in_parallel(count, [&](std::size_t k, Scratch&) {
+    in_parallel(count, [&](std::size_t k) {
       Random random{seed + k * 0x2545f4914f6cdd1dull};
       moves[k].out = order[random.below(pool)];
       moves[k].in = best_at(std::size_t(targets[random.below(targets.size())]), candidates, random);
@@ -324,7 +290,7 @@ int CoverFit::exchange(int trials, int candidates) {
     int now = 0;
     for (std::size_t k = 0; k < count; ++k) {
       const auto& [out, in] = moves[k];
-      if (!in || gain(*in) <= loss(out)) continue;
+      if (!in || gain(*in, kNone) <= loss(out)) continue;
       leave(out);
       balls_[out] = *in;
       enter(out);
@@ -387,19 +353,19 @@ int CoverFit::add(int count, int candidates) {
     const std::size_t some = std::min<std::size_t>({std::size_t(count - added), kBlock, targets.size()});
     std::vector<Move> moves(some);
     const std::uint64_t seed = random_.next();
-    in_parallel(some, [&](std::size_t k, Scratch&) {
+    in_parallel(some, [&](std::size_t k) {
       Random random{seed + k * 0x2545f4914f6cdd1dull};
       // Of a few bare samples the one with most to gain.
       double most = 0;
       for (int turn = 0; turn < 4; ++turn) {
         const auto ball = best_at(std::size_t(targets[random.below(targets.size())]), candidates, random);
-        const double now = ball ? gain(*ball) : 0;
+        const double now = ball ? gain(*ball, kNone) : 0;
         if (now > most) most = now, moves[k].in = ball;
       }
     });
     int now = 0;
     for (const Move& move : moves) {
-      if (!move.in || gain(*move.in) <= 0) continue;
+      if (!move.in || gain(*move.in, kNone) <= 0) continue;
       balls_.push_back(*move.in);
       enter(std::int32_t(balls_.size()) - 1);
       ++now;

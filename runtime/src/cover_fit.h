@@ -8,6 +8,7 @@
 
 #include "algebra.h"
 #include "point_tree.h"
+#include "random.h"
 #include "triangle_tree.h"
 
 namespace palmar {
@@ -17,15 +18,6 @@ struct InsideBall {
   Vec3 center;
   double inside;
   std::int32_t face;
-};
-
-// splitmix64 (Steele, Lea, Flood 2014): the same numbers on every machine.
-struct Random {
-  std::uint64_t state;
-  std::uint64_t next();
-  double uniform() { return double(next() >> 11) * 0x1p-53; }
-  std::size_t below(std::size_t n) { return std::size_t(uniform() * double(n)); }
-  Vec3 in_ball();  // of radius 1
 };
 
 // The largest ball tangent at a surface point that the surface enters by at most `slack` (Ma, Bae, Choi 2012), shrunk
@@ -69,10 +61,6 @@ class CoverFit {
     std::int32_t ball[kKept];  // those with the least gaps, in order
     float gap[kKept];
   };
-  struct Scratch {
-    std::vector<std::uint32_t> stamp;
-    std::uint32_t now = 0;
-  };
   struct Move {
     std::int32_t out;
     std::optional<InsideBall> in;
@@ -82,17 +70,15 @@ class CoverFit {
   int take_out(int count, bool useless);
   void enter(std::int32_t ball);
   void leave(std::int32_t ball);
-  double change(std::int32_t ball, const InsideBall& other, Scratch& scratch) const;
-  double gain(const InsideBall& ball) const;
+  double gain(const InsideBall& ball, std::int32_t without) const;  // what it would save
   double loss(std::int32_t ball) const;
   std::vector<double> losses() const;
   Vec3 pull(std::int32_t ball) const;
   std::optional<InsideBall> moved(const InsideBall& ball, const Vec3& shift, Random& random) const;
-  std::optional<InsideBall> walk(std::int32_t ball, double step, int moves, double temperature, Random random,
-                                 Scratch& scratch) const;
+  std::optional<InsideBall> walk(std::int32_t ball, double step, int moves, double temperature, Random random) const;
   std::optional<InsideBall> best_at(std::size_t sample, int candidates, Random& random) const;
   std::vector<std::int32_t> bare() const;
-  void in_parallel(std::size_t count, const std::function<void(std::size_t, Scratch&)>& work);
+  void in_parallel(std::size_t count, const std::function<void(std::size_t)>& work) const;
 
   const TriangleTree& tree_;
   PointTree samples_;
@@ -101,7 +87,7 @@ class CoverFit {
   std::vector<InsideBall> balls_;
   std::size_t fixed_ = 0;
   std::vector<Seen> seen_;
-  std::vector<Scratch> scratch_;  // one a thread
+  int threads_;
   double low_ = 0, high_ = 0, slope_ = 0, budget_ = 0;
   Random random_;
 };

@@ -6,6 +6,7 @@
 #include <memory>
 
 #include "cover_fit.h"
+#include "sphere_union.h"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -35,6 +36,38 @@ nb::object to_rows(const std::vector<InsideBall>& balls) {
     std::copy_n(row, 4, values + 4 * k);
   }
   return nb::cast(nb::ndarray<nb::numpy, double>(values, {balls.size(), 4}, owner));
+}
+
+template <class T>
+nb::object to_array(const std::vector<T>& values, std::initializer_list<std::size_t> shape) {
+  T* copy = new T[values.size() + 1];
+  std::copy(values.begin(), values.end(), copy);
+  const nb::capsule owner(copy, [](void* p) noexcept { delete[] static_cast<T*>(p); });
+  return nb::cast(nb::ndarray<nb::numpy, T>(copy, shape, owner));
+}
+
+SphereUnion make_union(const Rows4& spheres) {
+  std::vector<Ball> balls(spheres.shape(0));
+  for (std::size_t k = 0; k < balls.size(); ++k)
+    balls[k] = {Vec3(spheres(k, 0), spheres(k, 1), spheres(k, 2)), spheres(k, 3)};
+  return SphereUnion(std::move(balls));
+}
+
+nb::object union_gaps(const Rows4& spheres, const Rows3& points) {
+  const std::vector<double> gaps = make_union(spheres).gaps(to_points(points));
+  return to_array(gaps, {gaps.size()});
+}
+
+nb::tuple union_skin(const Rows4& spheres, double offset, double spacing, std::uint64_t seed) {
+  std::vector<std::int64_t> owners;
+  std::vector<double> directions, angles;
+  for (const SkinSample& sample : make_union(spheres).skin(offset, spacing, seed)) {
+    owners.push_back(sample.owner);
+    directions.insert(directions.end(), sample.direction.data(), sample.direction.data() + 3);
+    angles.push_back(sample.solid_angle);
+  }
+  return nb::make_tuple(to_array(owners, {owners.size()}), to_array(directions, {owners.size(), 3}),
+                        to_array(angles, {owners.size()}));
 }
 
 std::unique_ptr<TriangleTree> make_tree(const Rows3& vertices, const Faces& faces) {
@@ -71,6 +104,8 @@ std::vector<InsideBall> to_balls(const TriangleTree& tree, const Rows& rows) {
 }  // namespace
 
 void bind_tools(nb::module_& m) {
+  m.def("union_gaps", &union_gaps, "spheres"_a, "points"_a);
+  m.def("union_skin", &union_skin, "spheres"_a, "offset"_a, "spacing"_a, "seed"_a);
   nb::class_<TriangleTree>(m, "TriangleTree")
       .def(nb::new_([](const Rows3& vertices, const Faces& faces) { return make_tree(vertices, faces); }), "vertices"_a,
            "faces"_a)
