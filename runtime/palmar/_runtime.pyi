@@ -69,6 +69,12 @@ def union_skin(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Samples of the skin of spheres (m, 4) grown by offset: sphere (n,), direction (n, 3), solid angle (n,)."""
 
+def radii_to_cover(spheres: np.ndarray, vertices: np.ndarray, faces: np.ndarray, finest: float) -> np.ndarray:
+    """Radii (m,), none less than before, with which the spheres (m, 4) cover every point of the triangles.
+
+    A triangle with its corners in one sphere is covered; others are cut in four, down to sides of `finest`.
+    """
+
 class TriangleTree:
     """Exact distances to a mesh: vertices (v, 3) and faces (f, 3), int64."""
 

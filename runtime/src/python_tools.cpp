@@ -70,12 +70,17 @@ nb::tuple union_skin(const Rows4& spheres, double offset, double spacing, std::u
                         to_array(angles, {owners.size()}));
 }
 
-std::unique_ptr<TriangleTree> make_tree(const Rows3& vertices, const Faces& faces) {
+std::vector<std::array<std::int32_t, 3>> to_corners(const Faces& faces) {
   std::vector<std::array<std::int32_t, 3>> corners(faces.shape(0));
   for (std::size_t k = 0; k < corners.size(); ++k) {
     for (std::size_t axis = 0; axis < 3; ++axis) corners[k][axis] = std::int32_t(faces(k, axis));
   }
-  return std::make_unique<TriangleTree>(to_points(vertices), corners);
+  return corners;
+}
+
+nb::object radii_to_cover(const Rows4& spheres, const Rows3& vertices, const Faces& faces, double finest) {
+  const std::vector<double> radii = make_union(spheres).radii_to_cover(to_points(vertices), to_corners(faces), finest);
+  return to_array(radii, {radii.size()});
 }
 
 nb::object shoot_all(const TriangleTree& tree, const Rows3& points, const Rows3& inward, const Numbers& faces,
@@ -106,9 +111,12 @@ std::vector<InsideBall> to_balls(const TriangleTree& tree, const Rows& rows) {
 void bind_tools(nb::module_& m) {
   m.def("union_gaps", &union_gaps, "spheres"_a, "points"_a);
   m.def("union_skin", &union_skin, "spheres"_a, "offset"_a, "spacing"_a, "seed"_a);
+  m.def("radii_to_cover", &radii_to_cover, "spheres"_a, "vertices"_a, "faces"_a, "finest"_a);
   nb::class_<TriangleTree>(m, "TriangleTree")
-      .def(nb::new_([](const Rows3& vertices, const Faces& faces) { return make_tree(vertices, faces); }), "vertices"_a,
-           "faces"_a)
+      .def(nb::new_([](const Rows3& vertices, const Faces& faces) {
+             return std::make_unique<TriangleTree>(to_points(vertices), to_corners(faces));
+           }),
+           "vertices"_a, "faces"_a)
       .def("shoot", &shoot_all, "points"_a, "inward"_a, "faces"_a, "slack"_a, "start"_a)
       .def(
           "distances", [](const TriangleTree& tree, const Rows3& centers) { return to_rows(to_balls(tree, centers)); },

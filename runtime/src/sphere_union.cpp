@@ -136,6 +136,66 @@ bool SphereUnion::covers(const Vec3& point, double offset, std::int32_t but) con
   return false;
 }
 
+std::pair<double, std::int32_t> SphereUnion::least_growth(const std::array<Vec3, 3>& corners) const {
+  std::pair<double, std::int32_t> best{std::numeric_limits<double>::infinity(), -1};
+  const Eigen::Array3d p = corners[0];
+  const auto bound = [&](std::int32_t index) {
+    const Node& node = nodes_[index];
+    return std::sqrt((node.low - p).max(p - node.high).max(0.0).square().sum());
+  };
+  std::vector<std::pair<double, std::int32_t>> stack{{bound(0), 0}};
+  while (!stack.empty() && best.first > 0) {
+    const auto [least, index] = stack.back();
+    stack.pop_back();
+    if (least >= best.first) continue;
+    const Node& node = nodes_[index];
+    if (node.count == 0) {
+      std::pair<double, std::int32_t> near{bound(node.first), node.first}, far{bound(node.first + 1), node.first + 1};
+      if (far < near) std::swap(near, far);
+      stack.push_back(far);
+      stack.push_back(near);
+      continue;
+    }
+    for (std::int32_t at = node.first; at < node.first + node.count; ++at) {
+      const Ball& ball = balls_[order_[at]];
+      double growth = -std::numeric_limits<double>::infinity();
+      for (const Vec3& corner : corners) growth = std::max(growth, (corner - ball.center).norm() - ball.radius);
+      if (growth < best.first) best = {growth, order_[at]};
+    }
+  }
+  return best;
+}
+
+std::vector<double> SphereUnion::radii_to_cover(const std::vector<Vec3>& vertices,
+                                                const std::vector<std::array<std::int32_t, 3>>& faces,
+                                                double finest) const {
+  std::vector<double> radii;
+  for (const Ball& ball : balls_) radii.push_back(ball.radius);
+  if (balls_.empty()) return radii;
+  std::vector<std::array<Vec3, 3>> open;
+  for (const auto& face : faces) {
+    open.push_back({vertices[face[0]], vertices[face[1]], vertices[face[2]]});
+    while (!open.empty()) {
+      const std::array<Vec3, 3> corners = open.back();
+      open.pop_back();
+      const auto [growth, ball] = least_growth(corners);
+      if (growth <= 0) continue;
+      const Vec3 &a = corners[0], &b = corners[1], &c = corners[2];
+      const double side = std::sqrt(std::max({(b - a).squaredNorm(), (c - b).squaredNorm(), (a - c).squaredNorm()}));
+      if (side <= finest) {
+        radii[ball] = std::max(radii[ball], balls_[ball].radius + growth);
+        continue;
+      }
+      const Vec3 ab = (a + b) / 2, bc = (b + c) / 2, ca = (c + a) / 2;
+      open.push_back({a, ab, ca});
+      open.push_back({ab, b, bc});
+      open.push_back({ca, bc, c});
+      open.push_back({ab, bc, ca});
+    }
+  }
+  return radii;
+}
+
 std::vector<std::int32_t> SphereUnion::hiders(std::int32_t index, double offset) const {
   const Ball& own = balls_[index];
   const Eigen::Array3d p = own.center;

@@ -1,7 +1,9 @@
 // A union of spheres: how far points lie outside it, and its skin.
 #pragma once
 
+#include <array>
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "algebra.h"
@@ -29,6 +31,11 @@ class SphereUnion {
   // neighbour is dropped whole, the others are split.
   std::vector<SkinSample> skin(double offset, double spacing, std::uint64_t seed) const;
 
+  // Radii that cover every point of the triangles: a triangle whose corners lie in one sphere is covered, any other is
+  // cut in four, and from sides of `finest` on the sphere that needs least grows to hold it.
+  std::vector<double> radii_to_cover(const std::vector<Vec3>& vertices,
+                                     const std::vector<std::array<std::int32_t, 3>>& faces, double finest) const;
+
  private:
   struct Node {
     Eigen::Array3d low, high;  // of the spheres without an offset
@@ -36,6 +43,8 @@ class SphereUnion {
   };
   void split(std::int32_t node);
   bool covers(const Vec3& point, double offset, std::int32_t but) const;
+  // The least that a sphere must grow by to hold the three corners, at most 0 where one does; and that sphere.
+  std::pair<double, std::int32_t> least_growth(const std::array<Vec3, 3>& corners) const;
   std::vector<std::int32_t> hiders(std::int32_t ball, double offset) const;
 
   std::vector<Ball> balls_;
