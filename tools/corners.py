@@ -16,7 +16,7 @@ _SHARP_DEG = 30.0
 _MOST_POINTS = 60_000
 
 
-def cover_corners(solid: Solid, balls: Array, limit: float, surface: tuple[Array, ...], seed: int, most: int) -> Array:
+def cover_corners(solid: Solid, balls: Array, limit: float, seed: int, most: int) -> Array:
     """At most `most` further balls (k, 4), so that no surface point, edge or corner is left with g above the limit.
 
     balls (n, 4): centres and inside distances that are there already; g as in `sphere_tree`. Spikes that no ball
@@ -34,7 +34,7 @@ def cover_corners(solid: Solid, balls: Array, limit: float, surface: tuple[Array
     along = np.concatenate([targets + step * limit * away for step in (0.5, 1, 2, 3, 4, 6)])
     tried = [inside_balls(solid, along)]
     if bare.any():
-        tried.append(medial_balls(solid, points[bare], face[bare], 0.1 * limit, limit / 4, surface))
+        tried.append(medial_balls(solid, points[bare], face[bare], 0.1 * limit))
     candidates = np.concatenate(tried)
     candidates = candidates[merged_indices(candidates, limit)]
     if not len(candidates):

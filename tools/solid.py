@@ -9,6 +9,7 @@ import igl
 import numpy as np
 from numpy.typing import NDArray
 
+from palmar._runtime import TriangleTree
 from palmar.errors import BadMesh
 
 Array = NDArray[np.float64]
@@ -33,6 +34,11 @@ class Solid:
     def size(self) -> float:
         """Longest side of the bounding box."""
         return float(np.ptp(self.vertices, axis=0).max())
+
+    @cached_property
+    def triangles(self) -> TriangleTree:
+        """Search tree for many points deep inside, from one neighbour to the next."""
+        return TriangleTree(self.vertices, self.faces)
 
     @cached_property
     def corner_normals(self) -> Array:
@@ -112,6 +118,11 @@ def signed_distance(solid: Solid, points: Array) -> tuple[Array, Array, NDArray[
     if len(unsure):
         outside[unsure] = igl.fast_winding_number(solid.vertices, solid.faces, points[unsure]) < 0.5
     return np.where(outside, distance, -distance), closest, face
+
+
+def is_inside(solid: Solid, points: Array) -> NDArray[np.bool_]:
+    """Whether the winding number of each point (n, 3) is above 0.5."""
+    return igl.fast_winding_number(solid.vertices, solid.faces, np.ascontiguousarray(points)) > 0.5
 
 
 def smooth_normals(solid: Solid, points: Array, face: NDArray[np.int64]) -> Array:
