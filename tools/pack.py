@@ -20,7 +20,7 @@ from palmar.tools.hand_file import default_hand, read_hand
 from palmar.tools.hierarchy import levels_over
 from palmar.tools.mesh import Mesh, read_mesh
 from palmar.tools.shapes import SHAPES
-from palmar.tools.sphere_tree import build_levels
+from palmar.tools.sphere_tree import MODES, build_levels
 from palmar.tools.spheres_csv import read_spheres_csv
 from palmar.tools.toml_file import check_keys, get_number, get_text, nearest, read_toml
 
@@ -29,7 +29,7 @@ Progress = Callable[[str, float], None]
 DEFAULT_ERROR_MM = 0.5
 SHAPE = "shape:"
 MAX_NAME = 100
-OBJECT_KEYS = ("name", "mesh", "units", "size_mm", "close", "error_mm", "spheres", "spheres_csv", "csv_units")
+OBJECT_KEYS = ("name", "mesh", "units", "size_mm", "close", "error_mm", "spheres", "mode", "spheres_csv", "csv_units")
 # What the content of a pack depends on.
 PACKAGES = ("palmar", "numpy", "scipy", "trimesh", "manifold3d", "libigl")
 
@@ -47,6 +47,7 @@ class Source:
     spheres: int | None = None
     spheres_csv: str | None = None  # leaves as they are
     csv_units: str = "m"
+    mode: str = "balanced"  # see `build_levels`
 
 
 def build(
@@ -58,6 +59,7 @@ def build(
     close: bool = False,
     error_mm: float | None = None,
     spheres: int | None = None,
+    mode: str = "balanced",
     hand_path: str | Path | None = None,
     spheres_csv: str | Path | None = None,
     csv_units: str = "m",
@@ -70,7 +72,7 @@ def build(
     Raises BadMesh, BadPack or PalmarError; nothing is written then.
     """
     csv = None if spheres_csv is None else str(spheres_csv)
-    given = Source("", "", units, size_mm, close, error_mm, spheres, csv, csv_units)
+    given = Source("", "", units, size_mm, close, error_mm, spheres, csv, csv_units, mode)
     if not meshes:
         raise PalmarError("E-CONF", "MESH", f"nothing to build; a mesh, a TOML list or {SHAPE}NAME is needed")
     if len(meshes) == 1 and str(meshes[0]).endswith(".toml"):
@@ -150,6 +152,7 @@ def build_object(source: Source, seed: int, progress: Progress) -> tuple[SphereT
             mesh.faces,
             error_m=error_m,
             spheres=None if source.spheres is None else int(source.spheres),
+            mode=source.mode,
             seed=seed,
             progress=lambda text, part: progress(text, 0.3 + 0.5 * part),
         )
@@ -189,7 +192,7 @@ def read_assets(path: str | Path, given: Source) -> tuple[list[Source], Path | N
         at = f"{where}:object[{number}]"
         check_keys(at, row, OBJECT_KEYS, ("mesh",))
         mesh = get_text(at, row, "mesh")
-        changes: dict[str, Any] = {key: get_text(at, row, key) for key in ("units", "csv_units") if key in row}
+        changes: dict[str, Any] = {key: get_text(at, row, key) for key in ("units", "csv_units", "mode") if key in row}
         changes |= {key: get_number(at, row, key, 0.0, 1e6) for key in ("size_mm", "error_mm", "spheres") if key in row}
         if "spheres_csv" in row:
             changes["spheres_csv"] = str(folder / get_text(at, row, "spheres_csv"))
@@ -218,6 +221,8 @@ def _check_source(source: Source) -> None:
         raise PalmarError("E-CONF", "--error-mm", f"{source.error_mm:g}; above 0 and up to 100 mm is allowed")
     if source.spheres is not None and not (source.spheres >= 1 and source.spheres == int(source.spheres)):
         raise PalmarError("E-CONF", "--spheres", f"{source.spheres:g}; a whole number from 1 is needed")
+    if source.mode not in MODES:
+        raise PalmarError("E-CONF", "--mode", f"{source.mode!r}; one of {', '.join(MODES)} is needed")
     name = source.name
     if not name or "/" in name or not name.isprintable() or len(name.encode()) > MAX_NAME:
         raise PalmarError(

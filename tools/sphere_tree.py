@@ -36,12 +36,12 @@ _FINEST = 1e-4
 _JUDGED = 60_000  # independent samples
 _ALLOWED = 0.975  # of the error: what the 99th percentile varies by between sets of samples
 _PIECE = 0.1  # of G: sides of the pieces that the proof of full cover ends with
-_WORST = 1.8  # times G: what even a corner or an edge should not exceed
+_WORST = 1.9  # times G: what even a corner or an edge should not exceed
 _CORNERS = 0.05  # share of a given count that may go to them
 # Samples a ball, longest step in discs, rounds: many short rounds first, then ever more samples to trust.
 _PHASES = ((60, 0.3, 15), (150, 0.2, 20), (500, 0.1, 12))
 _FEW = 12
-_MOST_SAMPLES = 2_500_000
+_MOST_SAMPLES = 1_500_000
 _MOVES = 4  # a ball and round
 # Low and high end of what a sample may cost, in G; and how much worse a move may make it, in samples of a ball's share.
 _LOW, _HIGH = 0.9, 1.4
@@ -148,6 +148,12 @@ def _within_count(solid: Solid, count: int, mode: str, seed: int, tell: Progress
         if budget == finest:
             fit.remove_useless()
         balls = fit.balls()
+        if phase == len(_PHASES) - 1:
+            # What moved away from corners since.
+            more = cover_corners(solid, balls, _WORST * budget, seed + 10, int(_CORNERS * count))
+            fit.remove(len(balls) + len(more) - count)
+            balls = np.concatenate([fit.balls(), more])
+        del fit  # before the next takes its memory
     return within(solid, balls)
 
 
@@ -190,7 +196,7 @@ def _within_error(solid: Solid, error: float, mode: str, seed: int, tell: Progre
         else:
             reach = _judge(solid, balls, MODES[mode], seed)
         if reach <= budget:
-            return balls
+            return np.concatenate([balls, cover_corners(solid, balls, _WORST * budget, seed + 10, CAP - len(balls))])
         if len(balls) >= CAP or target < budget / 3:
             raise _too_fine(error, f"is not reached with {len(balls):,} of {CAP:,} spheres")
         target *= max(min(budget / reach, 0.998), 0.9)
@@ -219,7 +225,7 @@ def _too_fine(error: float, found: str) -> BadMesh:
 
 def _phases(count: int) -> list[tuple[int, float, int]]:
     """Samples a ball, step and rounds; fewer for so many balls, for the time and memory that they take."""
-    fewer = min(1.0, (2_000 / max(count, 1)) ** 0.4)
+    fewer = min(1.0, (2_000 / max(count, 1)) ** 0.45)
     most = _MOST_SAMPLES // count
     return [
         (max(min(density, most), 6_000 // count), step, max(2, round(fewer * rounds)))

@@ -160,6 +160,7 @@ def test_bad_requests_write_nothing(box, tmp_path):
         ([box], {"units": "mm"}, "E-MESH-UNITS"),
         ([box], {"error_mm": 0.5, "spheres": 20}, "E-CONF"),
         ([box], {"spheres": 20, "spheres_csv": csv}, "E-CONF"),
+        ([box], {"mode": "round"}, "E-CONF"),
         ([box], {"error_mm": -1.0}, "E-CONF"),
         ([box], {"error_mm": float("nan")}, "E-CONF"),
         ([box], {"spheres": 0}, "E-CONF"),

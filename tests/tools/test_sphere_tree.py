@@ -3,9 +3,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from palmar._runtime import CoverFit
 from palmar.errors import BadMesh
 from palmar.tools.cover import level_errors, union_gap
+from palmar.tools.dual_bound import least_spheres
+from palmar.tools.medial import medial_balls
 from palmar.tools.shapes import SHAPES
+from palmar.tools.solid import closest_points, make_solid, sample_surface, signed_distance, smooth_normals
 from palmar.tools.sphere_tree import build_levels, levels_over
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
@@ -76,6 +80,70 @@ def test_count_is_kept_and_error_is_shared_evenly(ears):
     leaves = level_errors(levels, *mesh, seed=78)[-1]
     assert leaves["gap_mm"]["p99"] == pytest.approx(leaves["protrusion_mm"]["p99"], rel=0.2)
     assert leaves["gap_mm"]["p99"] < 1.0
+
+
+def test_inside_never_sticks_out():
+    mesh = SHAPES["ears"]()
+    levels, _, parameters = build_levels(*mesh, error_m=None, spheres=60, mode="inside")
+    exact, _, _ = closest_points(make_solid(*mesh), levels[-1][:, :3])
+    assert (levels[-1][:, 3] - exact).max() <= 1e-6
+    leaves = level_errors(levels[-1:], *mesh, seed=79)[0]
+    assert leaves["protrusion_mm"]["max"] <= 1e-3
+    assert leaves["gap_mm"]["p99"] == pytest.approx(2 * parameters["balanced_p99_mm"], rel=0.1)  # other samples
+
+
+def test_outside_leaves_no_point_uncovered():
+    mesh = SHAPES["cube"]()
+    levels, _, parameters = build_levels(*mesh, error_m=None, spheres=60, mode="outside")
+    # Corners and edges too, and far more samples than the balls were fitted to.
+    points, _ = sample_surface(make_solid(*mesh), 300_000, 80)
+    along = np.linspace(0, 1, 200)[:, None, None]
+    edges = mesh[0][mesh[1][:, [0, 1, 2]]] * along[:, None] + mesh[0][mesh[1][:, [1, 2, 0]]] * (1 - along[:, None])
+    assert union_gap(levels[-1], np.concatenate([points, edges.reshape(-1, 3)])).max() <= 0
+    leaves = level_errors(levels[-1:], *mesh, seed=81)[0]
+    assert leaves["protrusion_mm"]["max"] <= parameters["protrusion_bound_mm"] + 1e-9
+
+
+@pytest.mark.parametrize(("mode", "kind", "share"), [("inside", "gap_mm", "p99"), ("outside", "protrusion_mm", "p99")])
+def test_modes_keep_the_error_too(mode, kind, share):
+    mesh = SHAPES["ears"]()
+    levels, _, _ = build_levels(*mesh, error_m=2e-3, spheres=None, mode=mode)
+    assert level_errors(levels[-1:], *mesh, seed=82)[0][kind][share] <= 2.0
+
+
+def test_no_choice_of_balls_beats_the_bound(ears):
+    mesh, (levels, _, _), _ = ears
+    least = least_spheres(*mesh, 1e-3, levels[-1])
+    # Discs alone cover a plane with 1.21 of theirs; what is far above has balls to spare.
+    assert 1.0 <= len(levels[-1]) / least <= 1.6
+    assert least_spheres(*mesh, 2e-3, levels[-1]) < least
+
+
+def test_threads_do_not_change_a_bit():
+    solid = make_solid(*SHAPES["ears"]())
+    points, face = sample_surface(solid, 4000, 1)
+    inward = -smooth_normals(solid, points, face)
+    balls = medial_balls(solid, points[:60], face[:60], 1e-5)
+    found = []
+    for threads in (1, 3):
+        fit = CoverFit(solid.triangles, points, inward, face, 5, threads)
+        fit.set_budget(1e-3, 2e-3)
+        fit.set_balls(solid.triangles, balls)
+        fit.exchange(100, 4)
+        fit.polish(0.3, 4, 0.1)
+        fit.remove(5)
+        fit.add(3, 4)
+        found.append(fit.balls().tobytes())
+    assert found[0] == found[1]
+
+
+def test_medial_balls_touch_and_are_empty_of_surface():
+    solid = make_solid(*SHAPES["shamrock"]())
+    points, face = sample_surface(solid, 500, 2)
+    balls = medial_balls(solid, points, face, 1e-5)
+    assert len(balls) > 450  # a few points at sharp rims have no ball
+    signed, _, _ = signed_distance(solid, balls[:, :3])
+    np.testing.assert_allclose(balls[:, 3], -signed, atol=1e-12)  # metres; rounding
 
 
 def test_same_seed_same_bytes(ears):
