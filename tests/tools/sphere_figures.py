@@ -1,0 +1,117 @@
+"""The figures of the sphere trees, in one command: python tests/tools/sphere_figures.py --help
+
+One row an object: balanced p99 = (gap p99 + protrusion p99) / 2 on samples that the choice has not seen, beside
+what is aimed at, and what the tree cost. Each row runs in a process of its own, so that its peak memory is its own.
+"""
+
+import argparse
+import multiprocessing
+import resource
+import time
+from pathlib import Path
+
+import numpy as np
+
+from palmar.tools.cover import level_errors
+from palmar.tools.dual_bound import least_spheres
+from palmar.tools.mesh import read_mesh
+from palmar.tools.sphere_tree import MODES, build_levels
+
+DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+FINGERTIP_M = 0.007
+# Object: aimed at with 500 leaves in mm, leaves of the finer level, aimed at there.
+AIMS = {
+    "bunny": (0.21, 2896, 0.062),
+    "teapot": (0.22, 1792, 0.087),
+    "shamrock": (0.27, 3511, 0.080),
+    "rock": (0.28, 3089, 0.068),
+    "cup": (1.35, 4047, 0.31),
+    "cube": (0.50, 2000, 0.19),
+    "triprism": (0.45, 2000, 0.17),
+    "hexprism": (0.39, 2000, 0.15),
+    "cylinder": (0.25, 2000, 0.09),
+}
+
+
+def nodes_visited(levels, parents, count, seed):
+    """Mean nodes whose ball a fingertip meets, from the root down, at random places where it touches a leaf."""
+    rng = np.random.default_rng(seed)
+    leaves = levels[-1]
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    chosen = leaves[rng.integers(len(leaves), size=count)]
+    centre = chosen[:, :3] + (chosen[:, 3:] + FINGERTIP_M) * direction
+    deepest = np.full(count, np.inf)
+    for leaf in leaves:
+        deepest = np.minimum(deepest, np.linalg.norm(centre - leaf[:3], axis=1) - leaf[3])
+    centre = centre[deepest > FINGERTIP_M - 1e-9]  # not inside the object
+    asked = np.ones((len(centre), 1), dtype=bool)
+    visited = np.ones(len(centre))
+    for level, parent in zip(levels[1:], parents[1:], strict=True):
+        asked = asked[:, parent]
+        visited += asked.sum(axis=1)
+        distance = np.linalg.norm(centre[:, None] - level[None, :, :3], axis=2) - level[:, 3]
+        asked = asked & (distance <= FINGERTIP_M + 5e-4)
+    return float(visited.mean())
+
+
+def row(path, wanted, mode, seed, bound):
+    mesh = read_mesh(path, **({"units": "mm"} if path.parent.name == "spheres_objects" else {"size_mm": 90.0}))
+    wall, cpu = time.perf_counter(), time.process_time()
+    levels, parents, parameters = build_levels(mesh.vertices_m, mesh.faces, mode=mode, seed=seed, **wanted)
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    leaves = levels[-1]
+    (error,) = level_errors([leaves], mesh.vertices_m, mesh.faces, seed + 90)
+    gap, out = error["gap_mm"], error["protrusion_mm"]
+    figures = {
+        "leaves": len(leaves),
+        "balanced": (gap["p99"] + out["p99"]) / 2,
+        "gap p99": gap["p99"],
+        "max": gap["max"],
+        "out p99": out["p99"],
+        "out max": out["max"],
+        "bound": parameters["protrusion_bound_mm"],
+        "felt p95": error["normal_error_deg"]["p95"],
+        "nodes": nodes_visited(levels, parents, 300, seed) if len(leaves) <= 20_000 else float("nan"),
+        "cpu s": cpu,
+        "wall s": wall,
+        "peak MB": peak,
+    }
+    if bound and wanted["error_m"]:
+        figures["/ bound"] = len(leaves) / least_spheres(mesh.vertices_m, mesh.faces, wanted["error_m"], leaves, seed)
+    return figures
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("objects", nargs="*", help="names or mesh files; all nine objects if none")
+    parser.add_argument("--spheres", type=int, help="leaves; 500 if neither this nor another is given")
+    parser.add_argument("--fine", action="store_true", help="the leaves of the finer level of each object")
+    parser.add_argument("--error-mm", type=float)
+    parser.add_argument("--bound", action="store_true", help="with --error-mm: leaves against the dual bound")
+    parser.add_argument("--mode", default="balanced", choices=list(MODES))
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    context = multiprocessing.get_context("spawn")
+    head = None
+    for name in given.objects or AIMS:
+        places = (Path(name), DATA / "spheres_objects" / f"{name}.obj", DATA / "meshes" / f"{name}.obj")
+        path = next(place for place in places if place.is_file())
+        aims = AIMS.get(name)
+        count = aims[1] if given.fine else given.spheres or 500
+        aim = None if aims is None or given.mode != "balanced" else aims[2] if given.fine else aims[0]
+        wanted = {"error_m": None, "spheres": count}
+        if given.error_mm:
+            wanted, aim = {"error_m": given.error_mm * 1e-3, "spheres": None}, None
+        with context.Pool(1) as pool:
+            figures = pool.apply(row, (path, wanted, given.mode, given.seed, given.bound))
+        if head is None:
+            head = list(figures)
+            print(f"{'object':<18}{'aim':>8}" + "".join(f"{title:>10}" for title in head))
+        aimed = f"{aim:g}" if aim and (given.fine or count == 500) else "-"
+        print(f"{path.stem:<18}{aimed:>8}" + "".join(f"{figures[title]:>10.4g}" for title in head), flush=True)
+
+
+if __name__ == "__main__":
+    main()
