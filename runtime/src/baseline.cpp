@@ -23,11 +23,6 @@ double microseconds_since(Clock::time_point start) {
   return std::chrono::duration<double, std::micro>(Clock::now() - start).count();
 }
 
-int link_of(const Candidates& candidates, int candidate) {
-  const auto& start = candidates.link_start;
-  return int(std::upper_bound(start.begin(), start.end(), candidate) - start.begin()) - 1;
-}
-
 }  // namespace
 
 Change stiffness_diagonal(const HandModel& hand) {
@@ -89,19 +84,18 @@ bool gather_near(const Scene& scene, const HandPlacement& at, double margin, int
                  Workspace& work) {
   const auto start = Clock::now();
   std::uint32_t visited = 0;
-  bool fits = false;
-  for (int k = 0; k < 4 && !fits; ++k) {
-    fits = gather_candidates(scene.hand, scene.palm, scene.object, at, margin, work.candidates, visited, first_link,
-                             end_link);
-    margin *= 0.25;
+  bool found = true;
+  for (int link = first_link; link < kLinks; ++link) {
+    work.candidates.count[link] = 0;
+    if (link >= end_link) continue;
+    gather_link(scene.hand, scene.palm, scene.object, at, link, margin, work.candidates, visited);
+    found &= work.candidates.margin[link] >= 0;
   }
-  if (fits)
-    evaluate_gaps(scene.hand, work.candidates, at, work.gap.data());
-  else
-    work.candidates.count = 0, work.candidates.link_start.fill(0);
-  work.operations += visited + work.candidates.count;
+  if (!found) work.candidates.forget();
+  evaluate_gaps(scene.hand, work.candidates, at, work.gap.data());
+  work.operations += visited + work.candidates.total();
   work.search_us += microseconds_since(start);
-  return fits;
+  return found;
 }
 
 QpResult solve_least_violation(const Scene& scene, QpProblem problem, Workspace& work, bool& relaxed) {
@@ -134,7 +128,7 @@ void remember_active(const Scene& scene, const QpResult& result, Workspace& work
     if (result.active_row[j] < 0) continue;
     const int candidate = work.row_candidate[result.active_row[j]];
     // The session divides the palm's by the priority that `progressive` weighs it with.
-    const double scale = link_of(work.candidates, candidate) == 0 ? scene.settings.palm_priority : 1.0;
+    const double scale = work.candidates.link_of(candidate) == 0 ? scene.settings.palm_priority : 1.0;
     work.active[work.active_count++] = {candidate, scale * result.multiplier[j]};
   }
 }
@@ -148,8 +142,8 @@ std::uint32_t publish_unverified(const Scene& scene, const Configuration& q, Sol
   std::array<Named, kVariables> active;
   const int count = work.active_count;
   for (int k = 0; k < count; ++k) {
-    const Candidates::Pair& pair = work.candidates.pairs[work.active[k].candidate];
-    active[k] = {link_of(work.candidates, work.active[k].candidate), pair.object_sphere, pair.palm_sphere,
+    const int pair = work.active[k].candidate;
+    active[k] = {work.candidates.link_of(pair), work.candidates.object_sphere[pair], work.candidates.palm_sphere[pair],
                  work.active[k].multiplier};
   }
 
@@ -159,9 +153,8 @@ std::uint32_t publish_unverified(const Scene& scene, const Configuration& q, Sol
   if (!gather_near(scene, state.placement, kPublishMargin, 0, kLinks, work)) return kIterationLimit;
   const Candidates& now = work.candidates;
   for (int k = 0; k < count; ++k) {
-    for (int i = now.link_start[active[k].link]; i < now.link_start[active[k].link + 1]; ++i) {
-      if (now.pairs[i].object_sphere != active[k].object_sphere || now.pairs[i].palm_sphere != active[k].palm_sphere)
-        continue;
+    for (int i = now.begin(active[k].link); i < now.end(active[k].link); ++i) {
+      if (now.object_sphere[i] != active[k].object_sphere || now.palm_sphere[i] != active[k].palm_sphere) continue;
       work.active[work.active_count++] = {i, active[k].multiplier};
       break;
     }

@@ -1,4 +1,4 @@
-// Candidates: every (link, sphere) pair that the hand can reach in this step; their gaps; and rows for the QP.
+// Candidates: every (link, sphere) pair that a link can reach; their gaps; and rows for the QP.
 #pragma once
 
 #include <array>
@@ -12,23 +12,39 @@
 
 namespace palmar {
 
-// Pairs within `margin` of where the hand was when they were gathered. Complete: as long as no link has moved farther
-// than `margin` from there, a pair that is not in the list cannot touch.
-struct Candidates {
-  explicit Candidates(int capacity);
+using PerLink = std::array<double, kLinks>;
 
-  struct Pair {
-    Vec3 center;  // of the object's sphere, object frame
-    double radius;
-    std::uint32_t object_sphere;
-    std::uint32_t palm_sphere;  // UINT32_MAX for a phalanx
+// Pairs within margin[l] of link l where it was when its list was made, in `from`. Complete: as long as link l has not
+// moved farther than margin[l] from there, a pair of it that is not in the list cannot touch. A list stays good for as
+// many steps as that holds.
+struct Candidates {
+  explicit Candidates(int per_link_);
+
+  int per_link;                     // room of each link
+  std::array<int, kLinks> count{};  // pairs of link l: begin(l) .. end(l)
+  PerLink margin;                   // below zero: no list
+  HandPlacement from;
+
+  // One entry a pair. x, y, z, radius: the object's sphere, in its frame; palm_x .. palm_radius, for link 0 only: the
+  // palm's, in the palm's.
+  std::vector<double> x, y, z, radius, palm_x, palm_y, palm_z, palm_radius;
+  std::vector<std::uint32_t> object_sphere, palm_sphere;
+
+  int begin(int link) const { return link * per_link; }
+  int end(int link) const { return begin(link) + count[link]; }
+  int link_of(int pair) const { return pair / per_link; }
+  int total() const;
+  int size() const { return kLinks * per_link; }
+  Vec3 center(int pair) const { return {x[pair], y[pair], z[pair]}; }
+  void forget();  // every list
+
+  // Scratch of a search.
+  std::vector<std::uint32_t> found;
+  struct Near {
+    double gap;
+    std::uint32_t object_sphere, palm_sphere;
   };
-  std::vector<Pair> pairs;                   // sorted by link; the first `count` are valid
-  std::array<int, kLinks + 1> link_start{};  // pairs of link l: link_start[l] .. link_start[l + 1]
-  int count = 0;
-  HandPlacement from;  // where the hand was
-  double margin = 0;
-  std::vector<std::uint32_t> found;  // scratch
+  std::vector<Near> near;
 };
 
 // The palm's own spheres in groups of up to sixteen neighbours, each with the box around their centres (palm frame), so
@@ -45,19 +61,28 @@ struct PalmGroups {
   std::vector<Group> groups;
 };
 
-// Fills `out` with the pairs within `margin` of the placement. False when they do not fit. Links before first_link keep
-// the pairs that they have, links from end_link on get none.
-bool gather_candidates(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object,
-                       const HandPlacement& at, double margin, Candidates& out, std::uint32_t& visited,
-                       int first_link = 0, int end_link = kLinks);
+// Makes the list of one link anew: the pairs within `margin` of the placement. Where they are more than the list has
+// room for, the nearest ones, and the margin becomes the gap of the first left out: exact for shorter moves.
+void gather_link(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
+                 int link, double margin, Candidates& out, std::uint32_t& visited);
 
-// Exact gaps of all candidates at a placement, into `gap` (count long). Returns the smallest (+infinity for none).
+// How far link l may go from `at` before its list is no longer complete; below zero without a list.
+double room_of(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, int link);
+
+// Exact gaps of one link's or all pairs at a placement, into `gap` (by pair number). Returns the smallest (+infinity for
+// none).
+double evaluate_gaps(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, int link,
+                     double* gap);
 double evaluate_gaps(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, double* gap);
 
-// One row for each candidate with gap <= limit: the linearised gap may not fall below `aim`, or below what it is now if
-// it is between 0 and `aim`; `push_out` asks for `aim` even where that means moving away. Row i is candidate
-// row_candidate[i]. False when the rows do not fit.
+// The smallest of `count` gaps; +infinity of none.
+double smallest(const double* gap, int count);
+
+// One row for each pair with gap <= limit of its link, or named in `also` (may be null; by pair number): the linearised
+// gap may not fall below `aim`, or below what it is now if it is between 0 and `aim`; `push_out` asks for `aim` even
+// where that means moving away. Row i is pair row_candidate[i]. False when the rows do not fit; those that do are there.
 bool linearise(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, const double* gap,
-               double limit, double aim, bool push_out, QpRows& rows, std::int32_t* row_candidate);
+               const PerLink& limit, const std::uint8_t* also, double aim, bool push_out, QpRows& rows,
+               std::int32_t* row_candidate);
 
 }  // namespace palmar

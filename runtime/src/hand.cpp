@@ -14,7 +14,15 @@ void HandModel::finish() {
     palm_radius_max = std::max(palm_radius_max, s.radius);
     reach = std::max(reach, s.center.norm() + s.radius);
   }
-  for (const Finger& f : finger) {
+  for (Finger& f : finger) {
+    for (int j = 0; j < kPhalanges; ++j) {
+      double stretched = 0;
+      for (int k = j; k < kPhalanges; ++k) {
+        const Capsule& c = f.phalanx[k];
+        f.lever[j][k] = stretched + std::max((c.c1 - f.joint[k]).norm(), (c.c2 - f.joint[k]).norm());
+        if (k + 1 < kPhalanges) stretched += (f.joint[k + 1] - f.joint[k]).norm();
+      }
+    }
     // A chain stretched to its full length, plus how far the last shape stands off its joint.
     double chain = f.joint[0].norm();
     for (int j = 0; j < kPhalanges; ++j) {

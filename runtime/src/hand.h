@@ -35,6 +35,7 @@ struct Finger {
   std::array<std::array<double, 2>, 3> flexion_limit;
   std::array<double, 2> abduction_limit;
   std::array<double, 3> stiffness;  // N m / rad
+  double lever[kPhalanges][kPhalanges];  // [j][k]: no point of phalanx k's axis is farther from joint j, in any pose
 };
 
 struct HandModel {
@@ -46,7 +47,7 @@ struct HandModel {
   double palm_radius_max = 0;
   double reach = 0;  // no point of the hand is farther from the palm's origin, in any pose
 
-  // Fills the box, the largest radius and the reach from the rest.
+  // Fills the box, the largest radius, the levers and the reach from the rest.
   void finish();
 };
 

@@ -8,24 +8,15 @@
 namespace palmar {
 
 struct CollisionObject {
+  // Spheres that lie within another one are left out: nothing can touch them.
+  explicit CollisionObject(const std::vector<Sphere>& spheres);
+
   std::vector<Sphere> leaves;
+  std::vector<std::uint32_t> number;  // of each leaf, among the spheres given
   WideTree tree;
   Vec3 center{0, 0, 0};  // of a ball around all leaves
   double radius = 0;
   double leaf_radius_max = 0;
-
-  explicit CollisionObject(std::vector<Sphere> spheres) : leaves(std::move(spheres)), tree(leaves) {
-    Vec3 low = leaves.front().center, high = low;
-    for (const Sphere& s : leaves) {
-      low = low.cwiseMin(s.center);
-      high = high.cwiseMax(s.center);
-    }
-    center = 0.5 * (low + high);
-    for (const Sphere& s : leaves) {
-      radius = std::max(radius, (s.center - center).norm() + s.radius);
-      leaf_radius_max = std::max(leaf_radius_max, s.radius);
-    }
-  }
 };
 
 }  // namespace palmar

@@ -11,6 +11,7 @@ namespace palmar {
 namespace {
 
 constexpr int kContactCapacity = 512;
+constexpr int kRows = 4096;  // of one programme
 constexpr double kContactGap = 1e-5;  // metres; a pair this near counts as a contact: ten times what a row aims at
 
 bool finite(const double* v, int n) {
@@ -49,11 +50,13 @@ SolveFunction find_solver(const std::string& name) {
 
 Workspace::Workspace(const Settings& s)
     : candidates(s.candidates),
-      gap(s.candidates),
-      trial_gap(s.candidates),
-      violation(s.candidates),
-      rows(s.candidates),
-      row_candidate(s.candidates) {}
+      gap(candidates.size()),
+      trial_gap(candidates.size()),
+      rows(kRows),
+      violation(kRows),
+      row_candidate(kRows),
+      wanted(candidates.size()),
+      wanted_pair(candidates.size()) {}
 
 Session::Session(HandModel hand, std::vector<Sphere> object, Settings settings)
     : hand_(std::move(hand)),
@@ -93,16 +96,21 @@ Configuration Session::inside_limits(Configuration q, bool& clipped) const {
 bool Session::free(const Configuration& q, HandPlacement& at) {
   std::uint32_t visited = 0;
   at = place_hand(hand_, q);
-  const bool fits = gather_candidates(hand_, palm_, object_, at, 0.0, elsewhere_, visited);
+  bool free = true;
+  for (int link = 0; link < kLinks && free; ++link) {
+    gather_link(hand_, palm_, object_, at, link, 0.0, elsewhere_, visited);
+    free = elsewhere_.margin[link] >= 0 &&
+           evaluate_gaps(hand_, elsewhere_, at, link, work_.trial_gap.data()) >= 0;
+  }
   work_.operations += visited;
-  return fits && evaluate_gaps(hand_, elsewhere_, at, work_.trial_gap.data()) >= 0;
+  return free;
 }
 
 // The first pose: the haptic hand where it is free, else the nearest free place of the same hand found by moving it out
 // along 26 directions, growing steps, nearest first. True if it had to be moved.
 bool Session::start_at(const Configuration& haptic) {
   state_.started = true;
-  state_.reach = settings_.reach_least_m;
+  state_.reach.fill(settings_.reach_least_m);
   state_.graphic = haptic;
   if (free(haptic, state_.placement)) return false;
   // Beyond this the hand's ball and the object's ball are apart: the search always ends at a free place.
@@ -161,8 +169,6 @@ const StepResult& Session::step(const Sample& sample) {
   } else {
     status |= kBadSample;
     filter_.started = false;
-    work_.active_count = 0;
-    work_.candidates.count = 0;
   }
   // Rounding must not leave a last trace of a force.
   gain_ = std::clamp(gain_ + (fading ? -1 : 1) * dt_s / settings_.fade_s, 0.0, 1.0);
@@ -170,12 +176,12 @@ const StepResult& Session::step(const Sample& sample) {
   if (gain_ < 1 && !fading) status |= kRecovering;
   result_.time_s = sample.time_s;
   result_.status = status;
-  report(haptic_);
+  report(haptic_, (status & kBadSample) == 0);
   return result_;
 }
 
 // Poses, forces and contacts of the state, turned from the object's frame into the world's.
-void Session::report(const Configuration& haptic) {
+void Session::report(const Configuration& haptic, bool touching) {
   const Quat turn = to_quat(placed_.rotation_wxyz).normalized();
   const Vec3 shift = to_vec3(placed_.position_m);
   const bool identity = placed_.rotation_wxyz == std::array<double, 4>{1, 0, 0, 0};
@@ -211,14 +217,14 @@ void Session::report(const Configuration& haptic) {
   eq14.fill(Vec3::Zero());
   std::uint32_t count = 0;
   const Candidates& candidates = work_.candidates;
-  for (int link = 0; link < kLinks; ++link) {
-    for (int i = candidates.link_start[link]; i < std::min(candidates.link_start[link + 1], candidates.count); ++i) {
+  for (int link = 0; link < kLinks && touching; ++link) {
+    for (int i = candidates.begin(link); i < candidates.end(link); ++i) {
       if (work_.gap[i] > kContactGap || count == kContactCapacity) continue;
-      const Candidates::Pair& pair = candidates.pairs[i];
+      const Vec3 sphere = candidates.center(i);
       Contact& contact = contacts_[count++];
       contact.link = std::uint8_t(link);
-      contact.object_sphere = pair.object_sphere;
-      contact.palm_sphere = pair.palm_sphere;
+      contact.object_sphere = object_.number[candidates.object_sphere[i]];
+      contact.palm_sphere = candidates.palm_sphere[i];
       contact.gap_m = work_.gap[i];
       contact.force_n = 0;
       for (int k = 0; k < work_.active_count; ++k)
@@ -227,12 +233,12 @@ void Session::report(const Configuration& haptic) {
       Vec3 center, normal;
       double radius;
       if (link == 0) {
-        const PalmSphere& mine = hand_.palm[pair.palm_sphere];
+        const PalmSphere& mine = hand_.palm[candidates.palm_sphere[i]];
         center = state_.placement.rotation * mine.center + state_.placement.position;
         radius = mine.radius;
-        normal = (center - pair.center).normalized();
+        normal = (center - sphere).normalized();
       } else {
-        const CapsuleGap c = capsule_sphere_gap(state_.placement.phalanx[link - 1], pair.center, pair.radius);
+        const CapsuleGap c = capsule_sphere_gap(state_.placement.phalanx[link - 1], sphere, candidates.radius[i]);
         center = c.axis, radius = c.radius, normal = c.normal;
       }
       const Vec3 on_hand = center - radius * normal;
@@ -263,7 +269,7 @@ std::uint64_t Session::hash_state() const {
   mix(hash, felt_.joint_torque.data(), sizeof felt_.joint_torque);
   for (const Vec3& tip : felt_.fingertip) mix(hash, tip.data(), 24);
   mix(hash, &gain_, sizeof gain_);
-  mix(hash, &state_.reach, sizeof state_.reach);
+  mix(hash, state_.reach.data(), sizeof state_.reach);
   mix(hash, state_.velocity.data(), sizeof state_.velocity);
   mix(hash, state_.haptic.abduction.data(), sizeof state_.haptic.abduction);
   mix(hash, state_.haptic.flexion.data(), sizeof state_.haptic.flexion);

@@ -33,7 +33,7 @@ class Session {
   bool free(const Configuration& q, HandPlacement& at);
   bool start_at(const Configuration& haptic);
   double seconds_since_last(double time_s);
-  void report(const Configuration& haptic);
+  void report(const Configuration& haptic, bool touching);
   std::uint64_t hash_state() const;
 
   HandModel hand_;

@@ -21,7 +21,7 @@ struct Key {
 const std::vector<Key>& keys() {
   static const std::vector<Key> table = {
       {"aim_m", &Settings::aim_m, 1e-9, 1e-3},
-      {"candidates", &Settings::candidates, 64, 1'000'000},
+      {"candidates", &Settings::candidates, 64, 8192},
       {"corrections", &Settings::corrections, 0, 100},
       {"fade_s", &Settings::fade_s, 1e-3, 10},
       {"filter", &Settings::filter, 0, 0},

@@ -36,14 +36,14 @@ struct Merger {
 
   // On the object's sphere, where the hand meets it.
   Vec3 point_of(int row) const {
-    const Candidates::Pair& pair = work.candidates.pairs[work.row_candidate[row]];
-    return pair.center + pair.radius * normal_of(row);
+    const int pair = work.row_candidate[row];
+    return work.candidates.center(pair) + work.candidates.radius[pair] * normal_of(row);
   }
 
   void add(Region& r, int row) const {
     // A contact at the band's very edge has no volume; the floor keeps a region of such ones defined.
     const double depth = std::max(kBand - gap_of(row), 1e-9);
-    const double w = depth * depth * work.candidates.pairs[work.row_candidate[row]].radius;
+    const double w = depth * depth * work.candidates.radius[work.row_candidate[row]];
     r.weight += w;
     r.b += w * work.rows.b[row];
     for (std::size_t k = 0; k < r.g.size(); ++k) r.g[k] += w * work.rows.g[k][row];
@@ -89,7 +89,7 @@ struct Merger {
     for (int link = 0; link < kLinks; ++link) {
       if (link % kPhalanges == 1) rows.group_start[1 + (link - 1) / kPhalanges] = to;
       int end = begin;
-      while (end < last && work.row_candidate[end] < work.candidates.link_start[link + 1]) ++end;
+      while (end < last && work.row_candidate[end] < work.candidates.end(link)) ++end;
       if (end > begin) to = merge(begin, end, to);
       begin = end;
     }
@@ -106,7 +106,9 @@ std::uint32_t solve_aggregate(const Scene& scene, const Configuration& haptic, S
   q.abduction = haptic.abduction;
   const HandPlacement at = place_hand(scene.hand, q);
   if (!gather_near(scene, at, kBand, 0, kLinks, work)) return kKeptPrevious;
-  if (!linearise(scene.hand, work.candidates, at, work.gap.data(), kBand, 0.0, true, work.rows,
+  PerLink band;
+  band.fill(kBand);
+  if (!linearise(scene.hand, work.candidates, at, work.gap.data(), band, nullptr, 0.0, true, work.rows,
                  work.row_candidate.data()))
     return kKeptPrevious;
   Merger{work}.merge_all();

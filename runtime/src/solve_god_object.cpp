@@ -29,7 +29,9 @@ constexpr double kSettled = 1e-7;  // metres; a move shorter than this is the en
 // Rows of pairs in contact; with no answer, at least nothing in contact may come nearer.
 QpResult constrained_motion(const Scene& scene, const QpProblem& problem, const HandPlacement& at, Workspace& work) {
   const int limit = scene.settings.qp_iterations;
-  linearise(scene.hand, work.candidates, at, work.gap.data(), kContact, 0.0, true, work.rows,
+  PerLink contact;
+  contact.fill(kContact);
+  linearise(scene.hand, work.candidates, at, work.gap.data(), contact, nullptr, 0.0, true, work.rows,
             work.row_candidate.data());
   for (int i = 0; i < work.rows.count; ++i) work.rows.b[i] = std::max(0.0, work.rows.b[i]);
   QpResult result = solve_qp(problem, work.rows, 1e-9, limit, work.violation.data());
@@ -39,6 +41,12 @@ QpResult constrained_motion(const Scene& scene, const QpProblem& problem, const 
   }
   work.operations += work.rows.count + result.iterations;
   return result;
+}
+
+double least_room(const HandModel& hand, const Candidates& candidates, const HandPlacement& at) {
+  double least = room_of(hand, candidates, at, 0);
+  for (int link = 1; link < kLinks; ++link) least = std::min(least, room_of(hand, candidates, at, link));
+  return least;
 }
 
 // How far along the way the hand may go, 0 to 1: conservative advancement. No point of link l covers more than its
@@ -56,13 +64,13 @@ double free_share(const Scene& scene, const Configuration& q, const HandPlacemen
     most = std::max(most, speed[link]);
   }
   // Beyond the margin nothing is known.
-  const double known = std::min(1.0, (candidates.margin - largest_motion(hand, candidates.from, at)) / most);
+  const double known = std::min(1.0, least_room(hand, candidates, at) / most);
   double share = 0;
   for (int k = 0; k < kAdvances && share < known; ++k) {
     double step = known - share;
     const double* gap = share == 0 ? work.gap.data() : work.trial_gap.data();
     for (int link = 0; link < kLinks; ++link) {
-      for (int i = candidates.link_start[link]; i < candidates.link_start[link + 1]; ++i) {
+      for (int i = candidates.begin(link); i < candidates.end(link); ++i) {
         const bool held = work.gap[i] <= kContact;
         const double room = held ? gap[i] - std::min(0.0, work.gap[i]) + kDrift : gap[i];
         step = std::min(step, std::max(0.0, room) / speed[link]);
@@ -71,7 +79,7 @@ double free_share(const Scene& scene, const Configuration& q, const HandPlacemen
     share += step;
     if (step * most < kSettled) break;
     if (share < known) evaluate_gaps(hand, candidates, place_hand(hand, advance(q, way, share)), work.trial_gap.data());
-    work.operations += candidates.count;
+    work.operations += candidates.total();
   }
   return share;
 }
@@ -86,15 +94,16 @@ std::uint32_t solve_god_object(const Scene& scene, const Configuration& haptic, 
   work.active_count = 0;
   Configuration q = state.graphic;
   HandPlacement at = state.placement;
+  double& reach = state.reach[0];  // of every link
   double moved = 0;
   bool arrived = false;
-  work.candidates.margin = -1;  // of the last step, elsewhere
+  work.candidates.forget();  // of the last step, elsewhere
   for (int k = 0; k < kMoves && !arrived; ++k) {
     const double left = largest_motion(hand, at, place_hand(hand, haptic));
     if (left == 0) break;
-    const bool used_up = work.candidates.margin - largest_motion(hand, work.candidates.from, at) < 0.5 * state.reach;
+    const bool used_up = least_room(hand, work.candidates, at) < 0.5 * reach;
     if (used_up) {
-      if (!gather_near(scene, at, std::min(1.1 * left + kContact, state.reach), 0, kLinks, work)) break;
+      if (!gather_near(scene, at, std::min(1.1 * left + kContact, reach), 0, kLinks, work)) break;
     } else {
       evaluate_gaps(hand, work.candidates, at, work.gap.data());
     }
@@ -114,11 +123,10 @@ std::uint32_t solve_god_object(const Scene& scene, const Configuration& haptic, 
     moved += motion;
     arrived = share == 1.0 || motion < kSettled;
     // Where the margin, not a contact, ended the move, the next look is wider.
-    const double room = work.candidates.margin - largest_motion(hand, work.candidates.from, at);
-    if (!arrived && room < 0.1 * work.candidates.margin)
-      state.reach = std::min(4 * state.reach, work.candidates.count > 0 ? s.reach_most_m : s.free_reach_m);
+    if (!arrived && least_room(hand, work.candidates, at) < 0.1 * reach)
+      reach = std::min(4 * reach, work.candidates.total() > 0 ? s.reach_most_m : s.free_reach_m);
   }
-  state.reach = std::clamp(2.5 * moved, s.reach_least_m, work.candidates.count > 0 ? s.reach_most_m : s.free_reach_m);
+  reach = std::clamp(2.5 * moved, s.reach_least_m, work.candidates.total() > 0 ? s.reach_most_m : s.free_reach_m);
   return (arrived ? kOk : kIterationLimit) | publish_unverified(scene, q, state, work);
 }
 

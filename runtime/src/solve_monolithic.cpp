@@ -22,7 +22,9 @@ std::uint32_t solve_monolithic(const Scene& scene, const Configuration& haptic, 
   q.abduction = haptic.abduction;
   const HandPlacement at = place_hand(scene.hand, q);
   if (!gather_near(scene, at, kBand, 0, kLinks, work)) return kKeptPrevious;
-  if (!linearise(scene.hand, work.candidates, at, work.gap.data(), kBand, 0.0, true, work.rows,
+  PerLink band;
+  band.fill(kBand);
+  if (!linearise(scene.hand, work.candidates, at, work.gap.data(), band, nullptr, 0.0, true, work.rows,
                  work.row_candidate.data()))
     return kKeptPrevious;
   bool relaxed;

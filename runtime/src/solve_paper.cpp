@@ -70,16 +70,17 @@ void finger_rows(const HandPlacement& at, int f, Workspace& work) {
   for (int phalanx = 0; phalanx < kPhalanges; ++phalanx) {
     const int link = 1 + kPhalanges * f + phalanx;
     const Frustum frustum = frustum_of_capsule(at.phalanx[link - 1]);
-    for (int i = work.candidates.link_start[link]; i < work.candidates.link_start[link + 1]; ++i) {
-      const Candidates::Pair& pair = work.candidates.pairs[i];
-      const Constraint c = frustum_sphere_constraint(frustum, pair.center, pair.radius, phalanx + 1 == kPhalanges);
+    for (int i = work.candidates.begin(link); i < work.candidates.end(link) && rows.count < rows.capacity; ++i) {
+      const Vec3 center = work.candidates.center(i);
+      const Constraint c =
+          frustum_sphere_constraint(frustum, center, work.candidates.radius[i], phalanx + 1 == kPhalanges);
       if (!c.near) continue;
       const int row = rows.count++;
       for (int k = 0; k <= kPalmVariables; ++k) rows.g[k][row] = 0;
       // A turn of the phalanx moves the sphere the other way in its frame.
       for (int j = 0; j < kPhalanges; ++j)
         rows.g[kPalmVariables + 1 + j][row] =
-            j <= phalanx ? -c.gradient.dot(at.flexion_axis[f][j].cross(pair.center - at.joint[f][j])) : 0.0;
+            j <= phalanx ? -c.gradient.dot(at.flexion_axis[f][j].cross(center - at.joint[f][j])) : 0.0;
       rows.b[row] = -c.value;
       work.row_candidate[row] = i;
     }
@@ -113,8 +114,9 @@ std::uint32_t solve_paper(const Scene& scene, const Configuration& haptic, Solve
   q.abduction = haptic.abduction;
   HandPlacement at = place_hand(hand, q);
   evaluate_gaps(hand, work.candidates, at, work.gap.data());
-  constexpr double kAll = 1e9;  // metres: the band has chosen already
-  linearise(hand, work.candidates, at, work.gap.data(), kAll, 0.0, true, work.rows, work.row_candidate.data());
+  PerLink all;
+  all.fill(1e9);  // metres: the band has chosen already
+  linearise(hand, work.candidates, at, work.gap.data(), all, nullptr, 0.0, true, work.rows, work.row_candidate.data());
   const QpResult palm = solve_least_violation(scene, part_of(towards(hand, q, haptic), 0, 3), work, relaxed);
   if (palm.status != QpStatus::solved) status |= kIterationLimit;
   if (!relaxed) remember_active(scene, palm, work);

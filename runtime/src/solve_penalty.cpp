@@ -62,16 +62,20 @@ std::uint32_t solve_penalty(const Scene& scene, const Configuration& haptic, Sol
   Configuration q = state.graphic;
   HandPlacement at = state.placement;
   Vector velocity = Eigen::Map<const Vector>(state.velocity.data());
-  work.candidates.margin = -1;  // of the last step, elsewhere
+  work.candidates.forget();  // of the last step, elsewhere
+  PerLink touching;
+  touching.fill(0.0);
   for (int k = 1; k <= kSubSteps; ++k) {
     // Only overlaps at this very pose push: the list is whole as long as no link has left its margin.
-    if (work.candidates.margin < 0 || largest_motion(hand, work.candidates.from, at) > work.candidates.margin) {
+    bool complete = true;
+    for (int link = 0; link < kLinks; ++link) complete &= room_of(hand, work.candidates, at, link) >= 0;
+    if (!complete) {
       if (!gather_near(scene, at, kMargin, 0, kLinks, work)) return kKeptPrevious;
     } else {
       evaluate_gaps(hand, work.candidates, at, work.gap.data());
-      work.operations += work.candidates.count;
+      work.operations += work.candidates.total();
     }
-    linearise(hand, work.candidates, at, work.gap.data(), 0.0, 0.0, true, work.rows, work.row_candidate.data());
+    linearise(hand, work.candidates, at, work.gap.data(), touching, nullptr, 0.0, true, work.rows, work.row_candidate.data());
     work.operations += work.rows.count;
 
     const Change pull = difference(k == kSubSteps ? haptic : advance(before, way, double(k) / kSubSteps), q);

@@ -22,6 +22,9 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
+constexpr int kRowRounds = 4;        // programmes in a round, each with the rows that the last one lacked
+constexpr double kAhead = 2.0;       // a list looks farther than the step needs: by this share of it,
+constexpr double kAheadMost = 1e-3;  // and at most by this, metres
 constexpr int kAttempts = 3;  // trial poses along one direction: all of it, a quarter, a sixteenth
 
 double microseconds_since(Clock::time_point start) {
@@ -43,29 +46,34 @@ Change programme_weights(const HandModel& hand, const Settings& settings) {
   return w;
 }
 
+bool same(const Configuration& a, const Configuration& b) {
+  return a.position == b.position && a.rotation.coeffs() == b.rotation.coeffs() && a.abduction == b.abduction &&
+         a.flexion == b.flexion;
+}
+
 double cost(const Change& weight, const Change& d) {
   double sum = 0;
   for (int v = 0; v < kVariables; ++v) sum += weight[v] * d[v] * d[v];
   return 0.5 * sum;
 }
 
-// No variable alone may carry a link farther than `motion`.
-Change variable_bounds(const HandModel& hand, double motion) {
+// No variable alone may carry link l farther than motion[l].
+Change variable_bounds(const HandModel& hand, const PerLink& motion) {
   Change bound;
+  const double least = *std::min_element(motion.begin(), motion.end());
   for (int k = 0; k < 3; ++k) {
-    bound[k] = motion;
-    bound[3 + k] = motion / hand.reach;
+    bound[k] = least;
+    bound[3 + k] = least / hand.reach;
   }
   for (int f = 0; f < kFingers; ++f) {
-    double lever[kPhalanges], beyond = 0;
-    for (int j = kPhalanges; j-- > 0;) {
-      const Capsule& c = hand.finger[f].phalanx[j];
-      beyond = std::max((c.c1 - hand.finger[f].joint[j]).norm(), (c.c2 - hand.finger[f].joint[j]).norm() + beyond);
-      lever[j] = beyond;
-    }
     const int v = kPalmVariables + kFingerVariables * f;
-    bound[v] = motion / lever[0];
-    for (int j = 0; j < kPhalanges; ++j) bound[v + 1 + j] = motion / lever[j];
+    for (int j = 0; j < kPhalanges; ++j) {
+      bound[v + 1 + j] = std::numeric_limits<double>::infinity();
+      for (int k = j; k < kPhalanges; ++k)
+        bound[v + 1 + j] =
+            std::min(bound[v + 1 + j], motion[1 + kPhalanges * f + k] / hand.finger[f].lever[j][k]);
+    }
+    bound[v] = bound[v + 1];
   }
   return bound;
 }
@@ -83,6 +91,8 @@ std::array<double, kVariables - kPalmVariables> angle_rates(const Configuration&
   return rate;
 }
 
+constexpr double kRowLeast = 5e-5;  // metres: a pair this near gets a row before it is asked for
+
 // One step's attempt to better the pose: everything a round needs, so that the round reads top to bottom.
 struct Round {
   const Scene& scene;
@@ -95,17 +105,29 @@ struct Round {
 
   Configuration trial;
   HandPlacement trial_placement;
+  double trial_least = 0;  // its smallest gap
+  bool trial_known = false;  // no link has left what its list covers
 
-  // Places the hand at `q`; false if a link left the gathered margin or a gap is negative. `least` is the smallest gap.
-  bool verify(const Configuration& q, double& least, double& motion) {
+  // Places the hand at `q` and looks how it stands there. True if every gap is known and none is negative.
+  bool verify(const Configuration& q) {
     const auto start = Clock::now();
     trial = q;
     trial_placement = place_hand(scene.hand, q);
-    motion = largest_motion(scene.hand, work.candidates.from, trial_placement);
-    least = evaluate_gaps(scene.hand, work.candidates, trial_placement, work.trial_gap.data());
-    work.operations += work.candidates.count;
+    trial_known = true;
+    for (int link = 0; link < kLinks; ++link)
+      trial_known &= room_of(scene.hand, work.candidates, trial_placement, link) >= 0;
+    trial_least = evaluate_gaps(scene.hand, work.candidates, trial_placement, work.trial_gap.data());
+    work.operations += work.candidates.total();
     work.verify_us += microseconds_since(start);
-    return motion <= work.candidates.margin && least >= 0;
+    return trial_known && trial_least >= 0;
+  }
+
+  // The most that any link moved between two placements, as a share of what it is allowed.
+  double excess(const HandPlacement& from, const HandPlacement& to, const PerLink& allowed) const {
+    double most = 0;
+    for (int link = 0; link < kLinks; ++link)
+      most = std::max(most, link_motion(scene.hand, from, to, link) / allowed[link]);
+    return most;
   }
 
   // What the joint limits and the rates leave of each variable from q; never without zero.
@@ -125,37 +147,69 @@ struct Round {
     }
   }
 
-  // The programme at a pose: towards `wish`, no variable carrying a link farther than `motion`.
+  // The programme at a pose: towards `wish`, no variable carrying a link farther than it is allowed, with a row for each
+  // pair within `near` of its link or named in work.wanted.
   QpResult programme(const HandPlacement& at, const Configuration& q, const double* gap, const Change& wish,
-                     double motion, bool push_out) {
+                     const PerLink& allowed, const PerLink& near, bool push_out) {
     const auto start = Clock::now();
     const Settings& s = scene.settings;
-    QpResult result;
-    if (!linearise(scene.hand, work.candidates, at, gap, motion, s.aim_m, push_out, work.rows,
-                   work.row_candidate.data())) {
-      result.status = QpStatus::iteration_limit;
-      return result;
-    }
+    // Rows that do not fit are left out: whether they were needed is seen at the trial pose.
+    linearise(scene.hand, work.candidates, at, gap, near, work.wanted.data(), s.aim_m, push_out, work.rows,
+              work.row_candidate.data());
     QpProblem problem;
     for (int v = 0; v < kVariables; ++v) problem.inverse_weight[v] = 1.0 / weight[v];
     problem.target = wish;
-    problem.bound = variable_bounds(scene.hand, motion);
+    problem.bound = variable_bounds(scene.hand, allowed);
     joint_room(q, problem.lower, problem.upper);
-    result = solve_qp(problem, work.rows, 1e-9, s.qp_iterations, work.violation.data());
+    const QpResult result = solve_qp(problem, work.rows, 1e-9, s.qp_iterations, work.violation.data());
     work.operations += work.rows.count + result.iterations;
     work.solve_us += microseconds_since(start);
     return result;
   }
 
+  // Names the pairs that the trial pose sinks into and that had no row. True if there are any.
+  bool want_more_rows() {
+    bool more = false;
+    for (int link = 0; link < kLinks; ++link) {
+      for (int i = work.candidates.begin(link); i < work.candidates.end(link); ++i) {
+        if (work.trial_gap[i] >= 0 || work.wanted[i]) continue;
+        work.wanted[i] = 1;
+        work.wanted_pair[work.wanted_count++] = i;
+        more = true;
+      }
+    }
+    return more;
+  }
+
+  void want_none() {
+    while (work.wanted_count > 0) work.wanted[work.wanted_pair[--work.wanted_count]] = 0;
+  }
+
   // Moves the trial pose, which sinks in by a second-order error, the least way to where every gap is `aim` again.
-  bool restore(double allowed, double& least, double& motion) {
-    for (int k = 0; k < scene.settings.corrections && least < 0 && motion <= work.candidates.margin; ++k) {
+  bool restore(const PerLink& allowed) {
+    PerLink near;
+    near.fill(kRowLeast);
+    for (int k = 0; k < scene.settings.corrections && trial_least < 0 && trial_known; ++k) {
       const Configuration here = trial;
-      const QpResult result = programme(trial_placement, here, work.trial_gap.data(), Change{}, allowed, true);
+      want_more_rows();
+      const QpResult result =
+          programme(trial_placement, here, work.trial_gap.data(), Change{}, allowed, near, true);
       if (result.status != QpStatus::solved) return false;
-      if (verify(advance(here, result.x, 1.0), least, motion)) return true;
+      if (verify(moved(here, result.x, 1.0))) return true;
     }
     return false;
+  }
+
+  // q moved by a share of a change, joints not past their limits by rounding.
+  Configuration moved(const Configuration& q, const Change& change, double share) const {
+    Configuration to = advance(q, change, share);
+    for (int f = 0; f < kFingers; ++f) {
+      const Finger& finger = scene.hand.finger[f];
+      to.abduction[f] = std::clamp(to.abduction[f], finger.abduction_limit[0], finger.abduction_limit[1]);
+      for (int j = 0; j < kPhalanges; ++j)
+        to.flexion[f][j] = std::clamp(to.flexion[f][j], finger.flexion_limit[j][0], finger.flexion_limit[j][1]);
+    }
+    return to;
   }
 
   void remember_active(const QpResult& result) {
@@ -172,11 +226,12 @@ struct Round {
   }
 };
 
-// How a round ended: whether the pose moved, how far, and whether the margin (not the contacts) stopped it.
+// How a round ended: whether the pose moved, how far, and which links their lists (not the contacts) stopped.
 struct RoundEnd {
   bool moved = false;
-  bool cut = false;
   double motion = 0;
+  std::array<bool, kLinks> cut{};
+  bool any_cut = false;
 };
 
 RoundEnd run_round(Round& r) {
@@ -189,77 +244,99 @@ RoundEnd run_round(Round& r) {
   RoundEnd end;
   if (start_cost == 0) return end;
 
-  // Room left of the gathered margin; 2 % spare, because a linear share of a turn is not quite a share of its motion.
-  const double used = largest_motion(scene.hand, work.candidates.from, start_placement);
-  const double room = 0.98 * (work.candidates.margin - used);
-  double least = std::numeric_limits<double>::infinity();
-  for (int i = 0; i < work.candidates.count; ++i) least = std::min(least, work.gap[i]);
+  // What each list leaves its link; 2 % spare, because a linear share of a turn is not quite a share of its motion.
+  // Linear rows are good to about motion^2 / (2 x 50 mm): near contact a round moves a link no farther than reach_most.
+  PerLink allowed, near;
+  bool touching = false;
+  for (int link = 0; link < kLinks; ++link) {
+    const int first = work.candidates.begin(link);
+    const double room = 0.98 * room_of(scene.hand, work.candidates, start_placement, link);
+    const double least = smallest(work.gap.data() + first, work.candidates.count[link]);
+    if (!(room > 0)) return end;
+    touching |= least <= room;
+    allowed[link] = std::min(room, std::max(scene.settings.reach_most_m, least));
+    near[link] = std::min(allowed[link], std::max(kRowLeast, 2 * r.state.motion[link]));
+  }
+
+  const auto verify_within = [&](const Configuration& next, const Change& step, double& fraction) {
+    bool good = r.verify(next);
+    double over = r.excess(start_placement, r.trial_placement, allowed);
+    // Rotations bend the path: a few rounds of scaling bring the motion within what is allowed.
+    for (int k = 0; k < 3 && over > 1; ++k) {
+      for (int link = 0; link < kLinks; ++link)
+        end.cut[link] |= link_motion(scene.hand, start_placement, r.trial_placement, link) > allowed[link];
+      end.any_cut = true;
+      fraction *= 0.99 / over;
+      good = r.verify(r.moved(start, step, fraction));
+      over = r.excess(start_placement, r.trial_placement, allowed);
+    }
+    return good;
+  };
 
   Change step = way;
-  Configuration next = r.haptic;
-  double allowed = room, fraction = 1.0;
-  if (least <= room) {
-    // Linear rows are good to about motion^2 / (2 x 50 mm): near contact a round moves no farther than reach_most.
-    allowed = std::min(room, std::max(scene.settings.reach_most_m, least));
-    const QpResult result = r.programme(start_placement, start, work.gap.data(), way, allowed, false);
-    if (result.status != QpStatus::solved) return end;
-    step = result.x;
-    next = advance(start, step, 1.0);
-    r.remember_active(result);
+  double fraction = 1.0;
+  bool good = false;
+  r.want_none();
+  if (touching) {
+    for (int k = 0; k < kRowRounds; ++k) {
+      const QpResult result =
+          r.programme(start_placement, start, work.gap.data(), way, allowed, near, false);
+      if (result.status != QpStatus::solved) return end;
+      step = result.x;
+      fraction = 1.0;
+      r.remember_active(result);
+      good = verify_within(r.moved(start, step, 1.0), step, fraction);
+      if (good || !r.want_more_rows()) break;
+    }
   } else {
     work.active_count = 0;
     Change lower, upper;
     r.joint_room(start, lower, upper);
     for (int v = 0; v < kVariables; ++v) step[v] = std::clamp(way[v], lower[v], upper[v]);
     // With nothing in the way it is the haptic pose itself, so that a free hand is the haptic hand to the bit.
-    if (step != way) next = advance(start, step, 1.0);
+    good = verify_within(step == way ? r.haptic : advance(start, step, 1.0), step, fraction);
   }
 
   for (int attempt = 0; attempt < kAttempts; ++attempt) {
-    double smallest, motion;
-    bool good = r.verify(next, smallest, motion);
-    double from_start = largest_motion(scene.hand, start_placement, r.trial_placement);
-    // Rotations bend the path: a few rounds of scaling bring the motion within what is allowed.
-    for (int k = 0; k < 3 && from_start > allowed; ++k) {
-      end.cut = true;
-      fraction *= 0.99 * allowed / from_start;
-      good = r.verify(advance(start, step, fraction), smallest, motion);
-      from_start = largest_motion(scene.hand, start_placement, r.trial_placement);
-    }
-    if (from_start < scene.settings.settled_m) return end;
-    if (!good) good = r.restore(allowed, smallest, motion);
+    const auto from_start = [&] { return largest_motion(scene.hand, start_placement, r.trial_placement); };
+    if (from_start() < scene.settings.settled_m) return end;
+    if (!good) good = r.restore(allowed);
     if (good && cost(r.weight, difference(r.haptic, r.trial)) < start_cost) {
-      end.motion = largest_motion(scene.hand, start_placement, r.trial_placement);
+      end.motion = from_start();
       end.moved = end.motion >= scene.settings.settled_m;
       if (end.moved) r.publish();
       return end;
     }
+    if (attempt + 1 == kAttempts) break;
     // A quarter of the way has a sixteenth of the error.
     fraction *= 0.25;
-    next = advance(start, step, fraction);
+    good = verify_within(r.moved(start, step, fraction), step, fraction);
   }
   return end;
 }
 
-// Gathers candidates around the last pose, with less margin if they do not fit. False if they never do.
-bool gather(const Scene& scene, SolverState& state, Workspace& work, double margin) {
+// Makes anew the lists that do not reach as far around their links as the step may want: `reach` around the pose, or to
+// the haptic pose if that is nearer. A list looks farther than that, to serve some steps. False if a link has none.
+bool gather(const Scene& scene, const HandPlacement& haptic, SolverState& state, Workspace& work) {
   const auto start = Clock::now();
   std::uint32_t visited = 0;
-  bool fits = false;
-  for (int k = 0; k < 4 && !fits; ++k) {
-    fits = gather_candidates(scene.hand, scene.palm, scene.object, state.placement, margin, work.candidates, visited);
-    if (!fits) margin *= 0.25;
+  bool complete = true;
+  for (int link = 0; link < kLinks; ++link) {
+    const double wanted = link_motion(scene.hand, state.placement, haptic, link);
+    const double reach = std::min(1.05 * wanted + 1e-6, state.reach[link]);
+    if (room_of(scene.hand, work.candidates, state.placement, link) >= reach) continue;
+    gather_link(scene.hand, scene.palm, scene.object, state.placement, link,
+                reach + std::min(kAhead * reach, kAheadMost), work.candidates, visited);
+    evaluate_gaps(scene.hand, work.candidates, state.placement, link, work.gap.data());
+    visited += std::uint32_t(work.candidates.count[link]);
+    work.active_count = 0;  // its numbers are places in the lists that were
+    complete &= work.candidates.margin[link] > 0;
+    if (work.candidates.margin[link] < reach)
+      state.reach[link] = std::max(work.candidates.margin[link], scene.settings.reach_least_m);
   }
-  work.active_count = 0;  // its numbers are places in the list that was
-  if (fits) {
-    evaluate_gaps(scene.hand, work.candidates, state.placement, work.gap.data());
-  } else {
-    work.candidates.count = 0;                   // what was found has no gaps
-    state.reach = scene.settings.reach_least_m;  // the next step starts from a smaller margin
-  }
-  work.operations += visited + work.candidates.count;
+  work.operations += visited;
   work.search_us += microseconds_since(start);
-  return fits;
+  return complete;
 }
 
 // Did fingers push the palm, or contacts hold back what is imposed (rotation, abduction)?
@@ -272,15 +349,13 @@ bool has_yielded(const Round& r) {
     if (std::abs(d[kPalmVariables + kFingerVariables * f]) > kAngle) return true;
   Vec3 push(0, 0, 0);
   for (int j = 0; j < r.work.active_count; ++j) {
-    const int candidate = r.work.active[j].candidate;
-    if (candidate < r.work.candidates.link_start[1]) continue;
-    const int link =
-        int(std::upper_bound(r.work.candidates.link_start.begin(), r.work.candidates.link_start.end(), candidate) -
-            r.work.candidates.link_start.begin()) -
-        1;
-    const Candidates::Pair& p = r.work.candidates.pairs[candidate];
+    const int pair = r.work.active[j].candidate;
+    const int link = r.work.candidates.link_of(pair);
+    if (link == 0) continue;
     push += r.work.active[j].multiplier *
-            capsule_sphere_gap(r.state.placement.phalanx[link - 1], p.center, p.radius).normal;
+            capsule_sphere_gap(r.state.placement.phalanx[link - 1], r.work.candidates.center(pair),
+                               r.work.candidates.radius[pair])
+                .normal;
   }
   return push.norm() > 1e-4 * r.weight[0];  // 0.1 mm of the palm
 }
@@ -289,6 +364,7 @@ bool has_yielded(const Round& r) {
 
 std::uint32_t solve_progressive(const Scene& scene, const Configuration& haptic, SolverState& state, Workspace& work) {
   const Settings& s = scene.settings;
+  if (state.resting && same(haptic, state.haptic)) return state.status;
   Round round{scene,
               haptic,
               state,
@@ -298,43 +374,46 @@ std::uint32_t solve_progressive(const Scene& scene, const Configuration& haptic,
               angle_rates(haptic, state.haptic, s.joint_step_rad),
               {},
               {}};
+  const bool held = same(haptic, state.haptic);
   state.haptic = haptic;
-  work.active_count = 0;
+  state.resting = false;
+  const HandPlacement haptic_placement = place_hand(scene.hand, haptic);
+  const PerLink reach_before = state.reach;
+  for (double& reach : state.reach) reach = std::max(reach, s.reach_least_m);
 
-  const double wanted = largest_motion(scene.hand, state.placement, place_hand(scene.hand, haptic));
-  if (wanted == 0) {
-    // Already there; gather what touches, for the contact list.
-    return gather(scene, state, work, s.reach_least_m) ? kOk : kKeptPrevious;
-  }
-  if (!gather(scene, state, work, std::min(1.05 * wanted + 1e-6, state.reach))) return kKeptPrevious;
+  if (!gather(scene, haptic_placement, state, work)) return kKeptPrevious;
   bool moved_ever = false, converged = false;
-  double moved_most = 0;
+  PerLink moved_most{};
   for (int k = 0; k < s.iterations && !converged; ++k) {
+    const HandPlacement before = state.placement;
     const RoundEnd end = run_round(round);
     moved_ever |= end.moved;
-    moved_most = std::max(moved_most, end.motion);
-    converged = !end.cut && end.motion < 5e-6;  // metres; what is left moves less than a tenth of this
+    if (end.moved)
+      for (int link = 0; link < kLinks; ++link)
+        moved_most[link] = std::max(moved_most[link], link_motion(scene.hand, before, state.placement, link));
+    converged = !end.any_cut && end.motion < 5e-6;  // metres; what is left moves less than a tenth of this
     if (converged || k + 1 == s.iterations) break;
-    // Look farther when the margin stopped the hand, farther still where nothing is near.
-    const double used = largest_motion(scene.hand, work.candidates.from, state.placement);
-    const bool near_end = work.candidates.margin - used < 2 * end.motion;
-    if (end.cut || near_end) {
-      const double most = work.candidates.count > 0 ? s.reach_most_m : s.free_reach_m;
-      if (end.cut) state.reach = std::min(4 * state.reach, most);
-      const double left = largest_motion(scene.hand, state.placement, place_hand(scene.hand, haptic));
-      converged = left == 0;
-      if (converged) break;
-      if (!gather(scene, state, work, std::min(1.05 * left + 1e-6, state.reach))) return kKeptPrevious;
+    // Look farther where a list stopped its link, farther still where nothing is near.
+    for (int link = 0; link < kLinks; ++link) {
+      const double most = work.candidates.count[link] > 0 ? s.reach_most_m : s.free_reach_m;
+      if (end.cut[link]) state.reach[link] = std::min(4 * state.reach[link], most);
     }
+    converged = largest_motion(scene.hand, state.placement, haptic_placement) == 0;
+    if (converged) break;
+    if (!gather(scene, haptic_placement, state, work)) return kKeptPrevious;
   }
   // Next step: as far as this one moved and half as much again, within limits.
-  const double most = work.candidates.count > 0 ? s.reach_most_m : s.free_reach_m;
-  state.reach = std::clamp(2.5 * moved_most, s.reach_least_m, most);
+  for (int link = 0; link < kLinks; ++link) {
+    const double most = work.candidates.count[link] > 0 ? s.reach_most_m : s.free_reach_m;
+    state.reach[link] = std::clamp(2.5 * moved_most[link], s.reach_least_m, most);
+  }
+  state.motion = moved_most;
 
-  std::uint32_t status = kOk;
-  if (!converged) status |= kIterationLimit;
-  if (has_yielded(round)) status |= kYielded;
-  return status;
+  state.status = kOk;
+  if (!converged) state.status |= kIterationLimit;
+  if (has_yielded(round)) state.status |= kYielded;
+  state.resting = held && !moved_ever && state.reach == reach_before;
+  return state.status;
 }
 
 }  // namespace palmar

@@ -20,7 +20,7 @@ struct Settings {
   int iterations = 4;             // linearise-solve-verify rounds in one step
   int corrections = 2;            // re-linearisations at a trial pose that sinks in, in one round
   int qp_iterations = 300;        // rows added or dropped in one programme
-  int candidates = 4096;          // pairs that one step may look at
+  int candidates = 2048;          // pairs that one link's list has room for
   double palm_priority = 1000;    // how much rather a flexion yields than the palm's position
   double imposed_priority = 100;  // how much rather the palm's position yields than what is copied: rotation, abduction
   double reach_least_m = 2e-4;    // how far around the hand a step looks, at least
@@ -44,7 +44,10 @@ struct SolverState {
   Configuration graphic;    // verified: no gap below zero
   HandPlacement placement;  // of graphic
   Configuration haptic;     // of the step before
-  double reach = 2e-3;
+  PerLink reach{};          // how far around each link the next step looks
+  PerLink motion{};         // how far each link went in this one
+  bool resting = false;     // the step moved nothing, and another one with this haptic pose would not either
+  std::uint32_t status = 0; // of that step
   Change velocity{};  // of graphic, where a solver integrates over time
   bool started = false;
 };
@@ -58,9 +61,13 @@ struct ActiveContact {
 struct Workspace {
   explicit Workspace(const Settings& settings);
   Candidates candidates;
-  std::vector<double> gap, trial_gap, violation;
+  std::vector<double> gap, trial_gap;  // of the pairs, by number: at the graphic pose, at a pose on trial
   QpRows rows;
-  std::vector<std::int32_t> row_candidate;
+  std::vector<double> violation;            // of the rows
+  std::vector<std::int32_t> row_candidate;  // pair of each row
+  std::vector<std::uint8_t> wanted;         // pairs that get a row however far away, and
+  std::vector<std::int32_t> wanted_pair;    // their numbers
+  int wanted_count = 0;
   std::array<ActiveContact, kVariables> active;  // of the last programme that was accepted
   int active_count = 0;
   std::uint32_t operations = 0;  // nodes visited, gaps evaluated, rows made, programme iterations

@@ -116,39 +116,36 @@ WideTree::WideTree(const std::vector<Sphere>& spheres) {
 std::int32_t WideTree::build(std::vector<std::uint32_t>& order, std::size_t begin, std::size_t end,
                              const std::vector<Sphere>& spheres, Sphere& bound, int depth) {
   depth_ = std::max(depth_, depth);
-  // Four rounds of halving along the longest side give sixteen parts; equal halves keep the tree balanced.
+  // As few parts as let every node below be full: a leaf node that holds two spheres costs as much as one with sixteen.
+  std::size_t below = 1;
+  while (below * kWide < end - begin) below *= kWide;
+  const int parts = int((end - begin + below - 1) / below);
   std::array<std::size_t, kWide + 1> cut;
-  cut.fill(end);
   cut[0] = begin;
-  const bool leaf = end - begin <= kWide;
-  int parts = 1;
-  if (leaf) {
-    parts = int(end - begin);
-    for (int i = 0; i <= parts; ++i) cut[i] = begin + i;
-  } else {
-    while (parts < kWide) {
-      for (int p = parts; p-- > 0;) {
-        const std::size_t b = cut[p], e = cut[p + 1];
-        Vec3 low = spheres[order[b]].center, high = low;
-        for (std::size_t i = b; i < e; ++i) {
-          low = low.cwiseMin(spheres[order[i]].center);
-          high = high.cwiseMax(spheres[order[i]].center);
-        }
-        int axis;
-        (high - low).maxCoeff(&axis);
-        const std::size_t middle = b + (e - b) / 2;
-        std::nth_element(order.begin() + b, order.begin() + middle, order.begin() + e,
-                         [&](std::uint32_t i, std::uint32_t j) {
-                           const double ci = spheres[i].center[axis], cj = spheres[j].center[axis];
-                           return ci < cj || (ci == cj && i < j);
-                         });
-        cut[2 * p + 1] = middle;
-        cut[2 * p] = b;
-        if (2 * p + 2 <= kWide) cut[2 * p + 2] = e;
-      }
-      parts *= 2;
+  cut[parts] = end;
+  // Halves along the longest side, sizes in proportion to the parts that each half is cut into.
+  const auto halve = [&](const auto& self, int first, int last) -> void {
+    if (last - first < 2) return;
+    const int half = first + (last - first) / 2;
+    const std::size_t b = cut[first], e = cut[last];
+    const std::size_t middle = b + (e - b) * std::size_t(half - first) / std::size_t(last - first);
+    Vec3 low = spheres[order[b]].center, high = low;
+    for (std::size_t i = b; i < e; ++i) {
+      low = low.cwiseMin(spheres[order[i]].center);
+      high = high.cwiseMax(spheres[order[i]].center);
     }
-  }
+    int axis;
+    (high - low).maxCoeff(&axis);
+    std::nth_element(order.begin() + b, order.begin() + middle, order.begin() + e,
+                     [&](std::uint32_t i, std::uint32_t j) {
+                       const double ci = spheres[i].center[axis], cj = spheres[j].center[axis];
+                       return ci < cj || (ci == cj && i < j);
+                     });
+    cut[half] = middle;
+    self(self, first, half);
+    self(self, half, last);
+  };
+  halve(halve, 0, parts);
 
   const std::int32_t index = std::int32_t(nodes_.size());
   nodes_.emplace_back();

@@ -43,14 +43,19 @@ int main() {
     const Configuration q = made::random_configuration(rng, 0.06);
     const CollisionObject object(made::ball(300, 0.05, 0.006));
     const HandPlacement at = place_hand(hand, q);
-    Candidates candidates(20000);
+    Candidates candidates(4096);
     std::uint32_t visited = 0;
-    CHECK(gather_candidates(hand, palm, object, at, 0.01, candidates, visited));
-    std::vector<double> gap(20000), plus(20000), minus(20000);
+    for (int link = 0; link < kLinks; ++link) {
+      gather_link(hand, palm, object, at, link, 0.01, candidates, visited);
+      CHECK(candidates.margin[link] == 0.01);
+    }
+    PerLink limit;
+    limit.fill(0.01);
+    std::vector<double> gap(candidates.size()), plus(candidates.size()), minus(candidates.size());
     evaluate_gaps(hand, candidates, at, gap.data());
     QpRows rows(20000);
     std::vector<std::int32_t> row_candidate(20000);
-    CHECK(linearise(hand, candidates, at, gap.data(), 0.01, 1e-6, false, rows, row_candidate.data()));
+    CHECK(linearise(hand, candidates, at, gap.data(), limit, nullptr, 1e-6, false, rows, row_candidate.data()));
     constexpr double h = 1e-6;  // rad or m: truncation h^2 / r^2 and rounding 1e-16 / h both stay below 1e-8
     for (int v = 0; v < kVariables; ++v) {
       Change change{};

@@ -65,47 +65,55 @@ int main() {
   const HandModel hand = made::hand();
   const PalmGroups palm(hand);
   const CollisionObject object(made::ears());
-  Candidates candidates(20000);
-  int pairs = 0;
-  for (int trial = 0; trial < 50; ++trial) {
+  // Every pair within a list's margin is in it, also where the list has no room for all that was asked for.
+  int pairs = 0, shrunk = 0;
+  for (int trial = 0; trial < 100; ++trial) {
+    Candidates candidates(trial % 2 == 0 ? 4096 : 20);
     const HandPlacement at = place_hand(hand, made::random_configuration(rng, 0.08));
     const double margin = 0.003;
     std::uint32_t visited = 0;
-    CHECK(gather_candidates(hand, palm, object, at, margin, candidates, visited));
     std::set<std::array<std::uint32_t, 3>> set;
-    for (int link = 0; link < kLinks; ++link)
-      for (int i = candidates.link_start[link]; i < candidates.link_start[link + 1]; ++i)
-        set.insert({std::uint32_t(link), candidates.pairs[i].object_sphere, candidates.pairs[i].palm_sphere});
+    for (int link = 0; link < kLinks; ++link) {
+      gather_link(hand, palm, object, at, link, margin, candidates, visited);
+      CHECK(candidates.margin[link] == margin || (candidates.margin[link] < margin && candidates.count[link] == 20));
+      shrunk += candidates.margin[link] < margin;
+      for (int i = candidates.begin(link); i < candidates.end(link); ++i)
+        set.insert({std::uint32_t(link), candidates.object_sphere[i], candidates.palm_sphere[i]});
+    }
+    // The list's own gaps differ from these by rounding.
+    const auto within = [&](int link, double gap) { return gap < candidates.margin[link] - 1e-12; };
     for (std::uint32_t o = 0; o < object.leaves.size(); ++o) {
       const Sphere& s = object.leaves[o];
       for (std::uint32_t p = 0; p < hand.palm.size(); ++p)
-        if ((at.rotation * hand.palm[p].center + at.position - s.center).norm() - hand.palm[p].radius - s.radius <=
-            margin) {
+        if (within(0, (at.rotation * hand.palm[p].center + at.position - s.center).norm() - hand.palm[p].radius -
+                          s.radius)) {
           ++pairs;
           CHECK(set.contains(std::array<std::uint32_t, 3>{0u, o, p}));
         }
       for (std::uint32_t link = 1; link < kLinks; ++link)
-        if (capsule_sphere_gap(at.phalanx[link - 1], s.center, s.radius).gap <= margin) {
+        if (within(int(link), capsule_sphere_gap(at.phalanx[link - 1], s.center, s.radius).gap)) {
           ++pairs;
           CHECK(set.contains(std::array<std::uint32_t, 3>{link, o, UINT32_MAX}));
         }
     }
   }
   CHECK(pairs > 1000);
+  CHECK(shrunk > 10);
 
   // A palm of thousands of spheres: every pair within the margin is found.
   {
     HandModel many = made::hand();
     for (int i = 0; i < 5000; ++i) many.palm.push_back({1e-6 * Vec3(u(rng), u(rng), u(rng)), 0.011});
     many.finish();
-    Candidates room(20000);
+    Candidates room(8192);
     std::uint32_t visited = 0;
-    CHECK(gather_candidates(many, PalmGroups(many), CollisionObject({{Vec3(0, 0, 0.0115), 0.001}}),
-                            place_hand(many, Configuration{}), 0.001, room, visited));
+    gather_link(many, PalmGroups(many), CollisionObject({{Vec3(0, 0, 0.0115), 0.001}}),
+                place_hand(many, Configuration{}), 0, 0.001, room, visited);
+    CHECK(room.margin[0] == 0.001);
     int within = 0;
     for (const PalmSphere& s : many.palm) within += (s.center - Vec3(0, 0, 0.0115)).norm() - s.radius - 0.001 <= 0.001;
     CHECK(within >= 5000);
-    CHECK(room.link_start[1] == within);
+    CHECK(room.count[0] == within);
   }
   return finish();
 }
