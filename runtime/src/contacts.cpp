@@ -49,6 +49,19 @@ void add_groups(const HandModel& hand, std::uint32_t* begin, std::uint32_t* end,
   groups.push_back(group);
 }
 
+// The box around a group's centres, rounded by its largest radius and the margin.
+BoxQuery box_of(const PalmGroups::Group& group, const HandPlacement& at, double margin) {
+  const Vec3 half = 0.5 * (group.high - group.low);
+  const Vec3 middle = at.rotation * (0.5 * (group.low + group.high)) + at.position;
+  BoxQuery box;
+  box.cx = float(middle.x()), box.cy = float(middle.y()), box.cz = float(middle.z());
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3; ++k) box.m[3 * i + k] = float(at.rotation(k, i));
+  box.hx = float(half.x()), box.hy = float(half.y()), box.hz = float(half.z());
+  box.radius = float(group.radius + margin + query_rounding(middle, half.norm() + group.radius));
+  return box;
+}
+
 // Pairs found so far, in out.near; false when there is no more room.
 bool add(Candidates& out, int& count, double gap, std::uint32_t object_sphere, std::uint32_t palm_sphere) {
   if (count == int(out.near.size())) return false;
@@ -80,15 +93,7 @@ bool find_palm(const HandModel& hand, const PalmGroups& palm, const CollisionObj
                double margin, Candidates& out, int& count, std::uint32_t& visited) {
   alignas(64) float excess[kWide];
   for (const PalmGroups::Group& group : palm.groups) {
-    const Vec3 half = 0.5 * (group.high - group.low);
-    const Vec3 middle = at.rotation * (0.5 * (group.low + group.high)) + at.position;
-    BoxQuery box;
-    box.cx = float(middle.x()), box.cy = float(middle.y()), box.cz = float(middle.z());
-    for (int i = 0; i < 3; ++i)
-      for (int k = 0; k < 3; ++k) box.m[3 * i + k] = float(at.rotation(k, i));
-    box.hx = float(half.x()), box.hy = float(half.y()), box.hz = float(half.z());
-    box.radius = float(group.radius + margin + query_rounding(middle, half.norm() + group.radius));
-    const int near = object.tree.find(box, out.found.data(), kFoundCapacity, visited);
+    const int near = object.tree.find(box_of(group, at, margin), out.found.data(), kFoundCapacity, visited);
     if (near > kFoundCapacity) {
       if (!find_each_sphere(hand, group, object, at, margin, out, count, visited)) return false;
       continue;
@@ -152,10 +157,9 @@ struct PalmFrame {
 };
 
 PALMAR_WIDE void palm_gaps(const PalmFrame& f, const double* __restrict x, const double* __restrict y,
-                           const double* __restrict z, const double* __restrict radius,
-                           const double* __restrict palm_x, const double* __restrict palm_y,
-                           const double* __restrict palm_z, const double* __restrict palm_radius, int count,
-                           double* __restrict gap) {
+                           const double* __restrict z, const double* __restrict radius, const double* __restrict palm_x,
+                           const double* __restrict palm_y, const double* __restrict palm_z,
+                           const double* __restrict palm_radius, int count, double* __restrict gap) {
   for (int i = 0; i < count; ++i) {
     const double ox = x[i] - f.px, oy = y[i] - f.py, oz = z[i] - f.pz;
     const double dx = f.m[0] * ox + f.m[1] * oy + f.m[2] * oz - palm_x[i];
@@ -263,9 +267,34 @@ void gather_link(const HandModel& hand, const PalmGroups& palm, const CollisionO
   }
 }
 
+bool is_free(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
+             std::uint32_t& visited) {
+  constexpr int kTouching = 256;
+  std::array<std::uint32_t, kTouching> found;
+  const auto enters = [&](const SphereQuery& query, const auto& gap_of) {
+    const int count = object.tree.find(query, found.data(), kTouching, visited);
+    return count > kTouching || std::any_of(found.begin(), found.begin() + count,
+                                            [&](std::uint32_t i) { return gap_of(object.leaves[i]) < 0; });
+  };
+  for (const Capsule& c : at.phalanx)
+    if (enters(capsule_query(c.c1, c.c2, c.r1, c.r2, 0.0),
+               [&](const Sphere& s) { return capsule_sphere_gap(c, s.center, s.radius).gap; }))
+      return false;
+  for (const PalmGroups::Group& group : palm.groups) {
+    if (object.tree.find(box_of(group, at, 0.0), found.data(), kTouching, visited) == 0) continue;
+    for (int k = 0; k < group.count; ++k) {
+      const PalmSphere& mine = hand.palm[group.sphere[k]];
+      const Vec3 center = at.rotation * mine.center + at.position;
+      if (enters(ball_query(center, mine.radius, 0.0),
+                 [&](const Sphere& s) { return (center - s.center).norm() - mine.radius - s.radius; }))
+        return false;
+    }
+  }
+  return true;
+}
+
 double room_of(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, int link) {
-  return candidates.margin[link] < 0 ? -1.0
-                                     : candidates.margin[link] - link_motion(hand, candidates.from, at, link);
+  return candidates.margin[link] < 0 ? -1.0 : candidates.margin[link] - link_motion(hand, candidates.from, at, link);
 }
 
 double evaluate_gaps(const HandModel& hand, const Candidates& c, const HandPlacement& at, int link, double* gap) {
@@ -276,8 +305,8 @@ double evaluate_gaps(const HandModel& hand, const Candidates& c, const HandPlace
     for (int i = 0; i < 3; ++i)
       for (int k = 0; k < 3; ++k) f.m[3 * i + k] = at.rotation(k, i);
     f.px = at.position.x(), f.py = at.position.y(), f.pz = at.position.z();
-    palm_gaps(f, c.x.data(), c.y.data(), c.z.data(), c.radius.data(), c.palm_x.data(), c.palm_y.data(),
-              c.palm_z.data(), c.palm_radius.data(), count, gap);
+    palm_gaps(f, c.x.data(), c.y.data(), c.z.data(), c.radius.data(), c.palm_x.data(), c.palm_y.data(), c.palm_z.data(),
+              c.palm_radius.data(), count, gap);
   } else {
     const Capsule& p = at.phalanx[link - 1];
     const Vec3 along = p.c2 - p.c1;
@@ -293,8 +322,7 @@ double evaluate_gaps(const HandModel& hand, const Candidates& c, const HandPlace
 
 double evaluate_gaps(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, double* gap) {
   double least = std::numeric_limits<double>::infinity();
-  for (int link = 0; link < kLinks; ++link)
-    least = std::min(least, evaluate_gaps(hand, candidates, at, link, gap));
+  for (int link = 0; link < kLinks; ++link) least = std::min(least, evaluate_gaps(hand, candidates, at, link, gap));
   return least;
 }
 

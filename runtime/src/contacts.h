@@ -66,11 +66,16 @@ struct PalmGroups {
 void gather_link(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
                  int link, double margin, Candidates& out, std::uint32_t& visited);
 
+// True if no sphere of the object enters any part of the hand there; false also where so many touch that looking at
+// each would take long. Ends at the first that enters.
+bool is_free(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
+             std::uint32_t& visited);
+
 // How far link l may go from `at` before its list is no longer complete; below zero without a list.
 double room_of(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, int link);
 
-// Exact gaps of one link's or all pairs at a placement, into `gap` (by pair number). Returns the smallest (+infinity for
-// none).
+// Exact gaps of one link's or all pairs at a placement, into `gap` (by pair number). Returns the smallest (+infinity
+// for none).
 double evaluate_gaps(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, int link,
                      double* gap);
 double evaluate_gaps(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, double* gap);
@@ -80,7 +85,8 @@ double smallest(const double* gap, int count);
 
 // One row for each pair with gap <= limit of its link, or named in `also` (may be null; by pair number): the linearised
 // gap may not fall below `aim`, or below what it is now if it is between 0 and `aim`; `push_out` asks for `aim` even
-// where that means moving away. Row i is pair row_candidate[i]. False when the rows do not fit; those that do are there.
+// where that means moving away. Row i is pair row_candidate[i]. False when the rows do not fit; those that do are
+// there.
 bool linearise(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, const double* gap,
                const PerLink& limit, const std::uint8_t* also, double aim, bool push_out, QpRows& rows,
                std::int32_t* row_candidate);

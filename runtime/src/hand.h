@@ -34,7 +34,7 @@ struct Finger {
   std::array<Capsule, 3> phalanx;
   std::array<std::array<double, 2>, 3> flexion_limit;
   std::array<double, 2> abduction_limit;
-  std::array<double, 3> stiffness;  // N m / rad
+  std::array<double, 3> stiffness;       // N m / rad
   double lever[kPhalanges][kPhalanges];  // [j][k]: no point of phalanx k's axis is farther from joint j, in any pose
 };
 

@@ -8,7 +8,8 @@ namespace {
 
 // Indices of the spheres that no other one contains; of equal ones the first.
 std::vector<std::uint32_t> outermost(const std::vector<Sphere>& spheres) {
-  constexpr int kCapacity = 8192;  // more than this about one centre are looked at in part: a few may stay that need not
+  constexpr int kCapacity =
+      8192;  // more than this about one centre are looked at in part: a few may stay that need not
   const WideTree tree(spheres);
   std::vector<std::uint32_t> found(kCapacity), kept;
   for (std::uint32_t i = 0; i < spheres.size(); ++i) {

@@ -11,7 +11,7 @@ namespace palmar {
 namespace {
 
 constexpr int kContactCapacity = 512;
-constexpr int kRows = 4096;  // of one programme
+constexpr int kRows = 4096;           // of one programme
 constexpr double kContactGap = 1e-5;  // metres; a pair this near counts as a contact: ten times what a row aims at
 
 bool finite(const double* v, int n) {
@@ -66,7 +66,6 @@ Session::Session(HandModel hand, std::vector<Sphere> object, Settings settings)
       solve_(find_solver(settings_.solver)),
       work_(settings_),
       time_s_(std::numeric_limits<double>::quiet_NaN()),
-      elsewhere_(settings_.candidates),
       contacts_(kContactCapacity) {
   state_.placement = haptic_before_at_ = place_hand(hand_, state_.graphic);
 }
@@ -92,18 +91,10 @@ Configuration Session::inside_limits(Configuration q, bool& clipped) const {
   return q;
 }
 
-// Does the hand touch nothing at q?
+// Does nothing enter the hand at q?
 bool Session::free(const Configuration& q, HandPlacement& at) {
-  std::uint32_t visited = 0;
   at = place_hand(hand_, q);
-  bool free = true;
-  for (int link = 0; link < kLinks && free; ++link) {
-    gather_link(hand_, palm_, object_, at, link, 0.0, elsewhere_, visited);
-    free = elsewhere_.margin[link] >= 0 &&
-           evaluate_gaps(hand_, elsewhere_, at, link, work_.trial_gap.data()) >= 0;
-  }
-  work_.operations += visited;
-  return free;
+  return is_free(hand_, palm_, object_, at, work_.operations);
 }
 
 // The first pose: the haptic hand where it is free, else the nearest free place of the same hand found by moving it out
@@ -115,7 +106,7 @@ bool Session::start_at(const Configuration& haptic) {
   if (free(haptic, state_.placement)) return false;
   // Beyond this the hand's ball and the object's ball are apart: the search always ends at a free place.
   const double far = (haptic.position - object_.center).norm() + hand_.reach + object_.radius;
-  for (double out = 5e-4; out < 2 * far + 1e-2; out *= 1.15) {
+  for (double out = 5e-4; out < 2 * far + 1e-2; out *= 1.3) {
     for (int d = 0; d < 27; ++d) {
       const Vec3 direction(d % 3 - 1, d / 3 % 3 - 1, d / 9 - 1);
       if (direction.isZero()) continue;

@@ -51,7 +51,6 @@ class Session {
   double time_s_;    // of the sample before; not finite before the first
   FilterState filter_;
   Release release_;
-  Candidates elsewhere_;  // around a pose that is only asked about
   Placement placed_;      // world from object, of the last usable sample
   HandPose haptic_pose_;  // as it came, world
   StepResult result_;

@@ -22,10 +22,12 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr int kRowRounds = 4;        // programmes in a round, each with the rows that the last one lacked
+constexpr int kRowRounds = 8;        // programmes in a round, each with the rows that the last one lacked,
+constexpr int kRowsMore = 4;         // at most so many for each link
 constexpr double kAhead = 2.0;       // a list looks farther than the step needs: by this share of it,
 constexpr double kAheadMost = 1e-3;  // and at most by this, metres
-constexpr int kAttempts = 3;  // trial poses along one direction: all of it, a quarter, a sixteenth
+constexpr double kDense = 400;       // pairs of one link
+constexpr int kAttempts = 3;         // trial poses along one direction: all of it, a quarter, a sixteenth
 
 double microseconds_since(Clock::time_point start) {
   return std::chrono::duration<double, std::micro>(Clock::now() - start).count();
@@ -70,8 +72,7 @@ Change variable_bounds(const HandModel& hand, const PerLink& motion) {
     for (int j = 0; j < kPhalanges; ++j) {
       bound[v + 1 + j] = std::numeric_limits<double>::infinity();
       for (int k = j; k < kPhalanges; ++k)
-        bound[v + 1 + j] =
-            std::min(bound[v + 1 + j], motion[1 + kPhalanges * f + k] / hand.finger[f].lever[j][k]);
+        bound[v + 1 + j] = std::min(bound[v + 1 + j], motion[1 + kPhalanges * f + k] / hand.finger[f].lever[j][k]);
     }
     bound[v] = bound[v + 1];
   }
@@ -91,7 +92,7 @@ std::array<double, kVariables - kPalmVariables> angle_rates(const Configuration&
   return rate;
 }
 
-constexpr double kRowLeast = 5e-5;  // metres: a pair this near gets a row before it is asked for
+constexpr double kRowNear = 3e-5;  // metres: a pair this near gets a row before it is asked for
 
 // One step's attempt to better the pose: everything a round needs, so that the round reads top to bottom.
 struct Round {
@@ -105,7 +106,7 @@ struct Round {
 
   Configuration trial;
   HandPlacement trial_placement;
-  double trial_least = 0;  // its smallest gap
+  double trial_least = 0;    // its smallest gap
   bool trial_known = false;  // no link has left what its list covers
 
   // Places the hand at `q` and looks how it stands there. True if every gap is known and none is negative.
@@ -147,8 +148,8 @@ struct Round {
     }
   }
 
-  // The programme at a pose: towards `wish`, no variable carrying a link farther than it is allowed, with a row for each
-  // pair within `near` of its link or named in work.wanted.
+  // The programme at a pose: towards `wish`, no variable carrying a link farther than it is allowed, with a row for
+  // each pair within `near` of its link or named in work.wanted.
   QpResult programme(const HandPlacement& at, const Configuration& q, const double* gap, const Change& wish,
                      const PerLink& allowed, const PerLink& near, bool push_out) {
     const auto start = Clock::now();
@@ -167,18 +168,26 @@ struct Round {
     return result;
   }
 
-  // Names the pairs that the trial pose sinks into and that had no row. True if there are any.
+  // Names, of the pairs of each link that the trial pose sinks into and that had no row, the kRowsMore deepest: their
+  // rows keep most of the others out. True if there are any.
   bool want_more_rows() {
-    bool more = false;
+    const int before = work.wanted_count;
     for (int link = 0; link < kLinks; ++link) {
+      std::array<int, kRowsMore> deepest;
+      int count = 0;
       for (int i = work.candidates.begin(link); i < work.candidates.end(link); ++i) {
         if (work.trial_gap[i] >= 0 || work.wanted[i]) continue;
-        work.wanted[i] = 1;
-        work.wanted_pair[work.wanted_count++] = i;
-        more = true;
+        if (count == kRowsMore && work.trial_gap[i] >= work.trial_gap[deepest[count - 1]]) continue;
+        int k = count < kRowsMore ? count++ : count - 1;
+        for (; k > 0 && work.trial_gap[deepest[k - 1]] > work.trial_gap[i]; --k) deepest[k] = deepest[k - 1];
+        deepest[k] = i;
+      }
+      for (int k = 0; k < count; ++k) {
+        work.wanted[deepest[k]] = 1;
+        work.wanted_pair[work.wanted_count++] = deepest[k];
       }
     }
-    return more;
+    return work.wanted_count > before;
   }
 
   void want_none() {
@@ -188,12 +197,11 @@ struct Round {
   // Moves the trial pose, which sinks in by a second-order error, the least way to where every gap is `aim` again.
   bool restore(const PerLink& allowed) {
     PerLink near;
-    near.fill(kRowLeast);
+    near.fill(kRowNear);
     for (int k = 0; k < scene.settings.corrections && trial_least < 0 && trial_known; ++k) {
       const Configuration here = trial;
       want_more_rows();
-      const QpResult result =
-          programme(trial_placement, here, work.trial_gap.data(), Change{}, allowed, near, true);
+      const QpResult result = programme(trial_placement, here, work.trial_gap.data(), Change{}, allowed, near, true);
       if (result.status != QpStatus::solved) return false;
       if (verify(moved(here, result.x, 1.0))) return true;
     }
@@ -232,6 +240,7 @@ struct RoundEnd {
   double motion = 0;
   std::array<bool, kLinks> cut{};
   bool any_cut = false;
+  bool failed = false;  // there was somewhere to go, and no pose on the way could be verified
 };
 
 RoundEnd run_round(Round& r) {
@@ -252,10 +261,13 @@ RoundEnd run_round(Round& r) {
     const int first = work.candidates.begin(link);
     const double room = 0.98 * room_of(scene.hand, work.candidates, start_placement, link);
     const double least = smallest(work.gap.data() + first, work.candidates.count[link]);
-    if (!(room > 0)) return end;
+    if (!(room > 0)) {
+      end.failed = true;
+      return end;
+    }
     touching |= least <= room;
     allowed[link] = std::min(room, std::max(scene.settings.reach_most_m, least));
-    near[link] = std::min(allowed[link], std::max(kRowLeast, 2 * r.state.motion[link]));
+    near[link] = std::min(allowed[link], kRowNear);
   }
 
   const auto verify_within = [&](const Configuration& next, const Change& step, double& fraction) {
@@ -279,9 +291,11 @@ RoundEnd run_round(Round& r) {
   r.want_none();
   if (touching) {
     for (int k = 0; k < kRowRounds; ++k) {
-      const QpResult result =
-          r.programme(start_placement, start, work.gap.data(), way, allowed, near, false);
-      if (result.status != QpStatus::solved) return end;
+      const QpResult result = r.programme(start_placement, start, work.gap.data(), way, allowed, near, false);
+      if (result.status != QpStatus::solved) {
+        end.failed = true;
+        return end;
+      }
       step = result.x;
       fraction = 1.0;
       r.remember_active(result);
@@ -299,14 +313,19 @@ RoundEnd run_round(Round& r) {
 
   for (int attempt = 0; attempt < kAttempts; ++attempt) {
     const auto from_start = [&] { return largest_motion(scene.hand, start_placement, r.trial_placement); };
-    if (from_start() < scene.settings.settled_m) return end;
+    if (from_start() < scene.settings.settled_m) {
+      end.failed = false;
+      return end;
+    }
     if (!good) good = r.restore(allowed);
     if (good && cost(r.weight, difference(r.haptic, r.trial)) < start_cost) {
       end.motion = from_start();
       end.moved = end.motion >= scene.settings.settled_m;
+      end.failed = false;
       if (end.moved) r.publish();
       return end;
     }
+    end.failed = !good;
     if (attempt + 1 == kAttempts) break;
     // A quarter of the way has a sixteenth of the error.
     fraction *= 0.25;
@@ -325,8 +344,12 @@ bool gather(const Scene& scene, const HandPlacement& haptic, SolverState& state,
     const double wanted = link_motion(scene.hand, state.placement, haptic, link);
     const double reach = std::min(1.05 * wanted + 1e-6, state.reach[link]);
     if (room_of(scene.hand, work.candidates, state.placement, link) >= reach) continue;
-    gather_link(scene.hand, scene.palm, scene.object, state.placement, link,
-                reach + std::min(kAhead * reach, kAheadMost), work.candidates, visited);
+    double margin = reach + std::min(kAhead * reach, kAheadMost);
+    // Where spheres lie dense it looks less far, by what the last list was like: cost follows the length of the lists.
+    const int had = work.candidates.count[link];
+    if (had > 0 && work.candidates.margin[link] > 0)
+      margin = std::min(margin, std::max(scene.settings.reach_least_m, work.candidates.margin[link] * kDense / had));
+    gather_link(scene.hand, scene.palm, scene.object, state.placement, link, margin, work.candidates, visited);
     evaluate_gaps(scene.hand, work.candidates, state.placement, link, work.gap.data());
     visited += std::uint32_t(work.candidates.count[link]);
     work.active_count = 0;  // its numbers are places in the lists that were
@@ -352,10 +375,10 @@ bool has_yielded(const Round& r) {
     const int pair = r.work.active[j].candidate;
     const int link = r.work.candidates.link_of(pair);
     if (link == 0) continue;
-    push += r.work.active[j].multiplier *
-            capsule_sphere_gap(r.state.placement.phalanx[link - 1], r.work.candidates.center(pair),
-                               r.work.candidates.radius[pair])
-                .normal;
+    push +=
+        r.work.active[j].multiplier * capsule_sphere_gap(r.state.placement.phalanx[link - 1],
+                                                         r.work.candidates.center(pair), r.work.candidates.radius[pair])
+                                          .normal;
   }
   return push.norm() > 1e-4 * r.weight[0];  // 0.1 mm of the palm
 }
@@ -382,7 +405,7 @@ std::uint32_t solve_progressive(const Scene& scene, const Configuration& haptic,
   for (double& reach : state.reach) reach = std::max(reach, s.reach_least_m);
 
   if (!gather(scene, haptic_placement, state, work)) return kKeptPrevious;
-  bool moved_ever = false, converged = false;
+  bool moved_ever = false, converged = false, failed = false;
   PerLink moved_most{};
   for (int k = 0; k < s.iterations && !converged; ++k) {
     const HandPlacement before = state.placement;
@@ -391,8 +414,10 @@ std::uint32_t solve_progressive(const Scene& scene, const Configuration& haptic,
     if (end.moved)
       for (int link = 0; link < kLinks; ++link)
         moved_most[link] = std::max(moved_most[link], link_motion(scene.hand, before, state.placement, link));
-    converged = !end.any_cut && end.motion < 5e-6;  // metres; what is left moves less than a tenth of this
-    if (converged || k + 1 == s.iterations) break;
+    failed |= end.failed;
+    converged =
+        !end.any_cut && !end.failed && end.motion < 5e-6;  // metres; what is left moves less than a tenth of this
+    if (converged || end.failed || k + 1 == s.iterations) break;
     // Look farther where a list stopped its link, farther still where nothing is near.
     for (int link = 0; link < kLinks; ++link) {
       const double most = work.candidates.count[link] > 0 ? s.reach_most_m : s.free_reach_m;
@@ -411,6 +436,7 @@ std::uint32_t solve_progressive(const Scene& scene, const Configuration& haptic,
 
   state.status = kOk;
   if (!converged) state.status |= kIterationLimit;
+  if (failed && !moved_ever) state.status |= kKeptPrevious;
   if (has_yielded(round)) state.status |= kYielded;
   state.resting = held && !moved_ever && state.reach == reach_before;
   return state.status;

@@ -41,14 +41,14 @@ struct Settings {
 
 // Everything that the next step starts from. Poses are in the object's frame.
 struct SolverState {
-  Configuration graphic;    // verified: no gap below zero
-  HandPlacement placement;  // of graphic
-  Configuration haptic;     // of the step before
-  PerLink reach{};          // how far around each link the next step looks
-  PerLink motion{};         // how far each link went in this one
-  bool resting = false;     // the step moved nothing, and another one with this haptic pose would not either
-  std::uint32_t status = 0; // of that step
-  Change velocity{};  // of graphic, where a solver integrates over time
+  Configuration graphic;     // verified: no gap below zero
+  HandPlacement placement;   // of graphic
+  Configuration haptic;      // of the step before
+  PerLink reach{};           // how far around each link the next step looks
+  PerLink motion{};          // how far each link went in this one
+  bool resting = false;      // the step moved nothing, and another one with this haptic pose would not either
+  std::uint32_t status = 0;  // of that step
+  Change velocity{};         // of graphic, where a solver integrates over time
   bool started = false;
 };
 
