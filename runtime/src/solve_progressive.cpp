@@ -177,9 +177,11 @@ struct Round {
       int count = 0;
       for (int i = work.candidates.begin(link); i < work.candidates.end(link); ++i) {
         if (work.trial_gap[i] >= 0 || work.wanted[i]) continue;
-        if (count == kRowsMore && work.trial_gap[i] >= work.trial_gap[deepest[count - 1]]) continue;
+        // Of two that are as deep to a nanometre the first in the list, so that rounding does not choose.
+        const auto deeper = [&](int than) { return work.trial_gap[i] < work.trial_gap[than] - 1e-9; };
+        if (count == kRowsMore && !deeper(deepest[count - 1])) continue;
         int k = count < kRowsMore ? count++ : count - 1;
-        for (; k > 0 && work.trial_gap[deepest[k - 1]] > work.trial_gap[i]; --k) deepest[k] = deepest[k - 1];
+        for (; k > 0 && deeper(deepest[k - 1]); --k) deepest[k] = deepest[k - 1];
         deepest[k] = i;
       }
       for (int k = 0; k < count; ++k) {
@@ -274,7 +276,8 @@ RoundEnd run_round(Round& r) {
     bool good = r.verify(next);
     double over = r.excess(start_placement, r.trial_placement, allowed);
     // Rotations bend the path: a few rounds of scaling bring the motion within what is allowed.
-    for (int k = 0; k < 3 && over > 1; ++k) {
+    // A bound that holds to rounding is held: a thousandth of the spare is enough for that.
+    for (int k = 0; k < 3 && over > 1.001; ++k) {
       for (int link = 0; link < kLinks; ++link)
         end.cut[link] |= link_motion(scene.hand, start_placement, r.trial_placement, link) > allowed[link];
       end.any_cut = true;

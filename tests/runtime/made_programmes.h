@@ -171,31 +171,33 @@ inline Programme of_a_hand(std::mt19937& rng, int trial) {
                                             CollisionObject(object("ears", 3000)),
                                             CollisionObject(object("cup", 30000))};
   const CollisionObject& near = objects[trial % 3];
-  static Candidates candidates(100000);
-  static std::vector<double> gap(100000);
+  static Candidates candidates(8192);
+  static std::vector<double> gap(std::size_t(candidates.size()));
   constexpr double margin = 0.003;
+  PerLink limit;
+  limit.fill(margin);
+  // The lists of a hand at q; the smallest gap.
+  const auto look = [&](const HandPlacement& at) {
+    std::uint32_t visited = 0;
+    for (int link = 0; link < kLinks; ++link)
+      gather_link(model, groups, near, at, link, margin, candidates, visited);
+    return evaluate_gaps(model, candidates, at, gap.data());
+  };
   for (;;) {
     Configuration q = random_configuration(rng, 0.02);
     // Out along one way until nothing sinks in.
     const Vec3 way = Vec3(signed_unit(rng), signed_unit(rng), signed_unit(rng)).normalized();
     for (double out = 0.3; out > 1e-6; out *= 0.5) {
-      const auto free = [&] {
-        std::uint32_t visited = 0;
-        const HandPlacement at = place_hand(model, q);
-        return gather_candidates(model, groups, near, at, margin, candidates, visited) &&
-               evaluate_gaps(model, candidates, at, gap.data()) >= 0;
-      };
+      const auto free = [&] { return look(place_hand(model, q)) >= 0; };
       if (!free()) q.position += out * way;
       q.position -= 0.5 * out * way;
       if (!free()) q.position += 0.5 * out * way;
     }
-    std::uint32_t visited = 0;
     const HandPlacement at = place_hand(model, q);
-    if (!gather_candidates(model, groups, near, at, margin, candidates, visited)) continue;
-    if (evaluate_gaps(model, candidates, at, gap.data()) < 0 || candidates.count < 5) continue;
+    if (look(at) < 0 || candidates.total() < 5) continue;
     Programme p = blank(rng);
     std::vector<std::int32_t> candidate(4000);
-    if (!linearise(model, candidates, at, gap.data(), margin, 1e-6, false, p.rows, candidate.data())) continue;
+    if (!linearise(model, candidates, at, gap.data(), limit, nullptr, 1e-6, false, p.rows, candidate.data())) continue;
     for (int f = -1; f < kFingers; ++f) p.finger.resize(std::size_t(p.rows.group_start[f + 2]), f);
     for (int v = 0; v < kVariables; ++v) {
       const bool palm = v < kPalmVariables, abduction = !palm && (v - kPalmVariables) % kFingerVariables == 0;

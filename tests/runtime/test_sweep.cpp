@@ -10,7 +10,7 @@ using namespace palmar;
 
 namespace {
 
-constexpr int kMotions = 500, kSpheres = 200, kSamples = 16;
+constexpr int kMotions = 520, kSpheres = 200, kSamples = 16;
 std::mt19937 rng(11);
 std::uniform_real_distribution<double> u(-1, 1);
 
@@ -44,7 +44,7 @@ int main() {
   const HandModel hand = made::hand();
   const PalmGroups palm(hand);
   const std::size_t rounds = made::rounds_of(hand, HandPose{}).size();
-  Candidates candidates(200000);
+  Candidates candidates(8192);
   long queries = 0, touches = 0, grazes = 0, missed = 0, listed = 0, listed_in_vain = 0, beyond = 0, late = 0;
 
   for (int motion = 0; motion < kMotions; ++motion) {
@@ -80,16 +80,21 @@ int main() {
     const CollisionObject object(spheres);
     std::uint32_t visited = 0;
     // Between two samples a link strays from them by less than a thousandth of the way.
-    CHECK(gather_candidates(hand, palm, object, start, 1.001 * margin + 1e-9, candidates, visited));
+    for (int link = 0; link < kLinks; ++link) {
+      gather_link(hand, palm, object, start, link, 1.001 * margin + 1e-9, candidates, visited);
+      CHECK(candidates.margin[link] == 1.001 * margin + 1e-9);
+    }
     std::vector<char> has(std::size_t(kSpheres) * rounds, 0);
     for (int link = 0; link < kLinks; ++link)
-      for (int i = candidates.link_start[link]; i < candidates.link_start[link + 1]; ++i) {
-        const Candidates::Pair& p = candidates.pairs[i];
-        const std::size_t round = link == 0 ? p.palm_sphere : hand.palm.size() + std::size_t(link) - 1;
-        has[p.object_sphere * rounds + round] = 1;
+      for (int i = candidates.begin(link); i < candidates.end(link); ++i) {
+        const std::size_t round =
+            link == 0 ? candidates.palm_sphere[std::size_t(i)] : hand.palm.size() + std::size_t(link) - 1;
+        has[object.number[candidates.object_sphere[std::size_t(i)]] * rounds + round] = 1;
       }
 
-    for (std::size_t s = 0; s < spheres.size(); ++s, ++queries)
+    // Spheres within others are no part of the object's surface.
+    for (const std::size_t s : object.number) {
+      ++queries;
       for (std::size_t r = 0; r < rounds; ++r) {
         double least = 1;
         int least_at = 0;
@@ -121,13 +126,14 @@ int main() {
           listed_in_vain += listed_here;
         }
       }
+    }
   }
   std::printf(
       "%ld queries: %ld touches (%ld between samples), %ld missed (%ld beyond the margin); of %ld listed pairs "
       "%.3f %% lay beyond the margin, %.1f %% were not touched\n",
       queries, touches, grazes, missed, late, listed, 100.0 * double(beyond) / double(listed),
       100.0 * double(listed_in_vain) / double(listed));
-  CHECK(queries == 100000);
+  CHECK(queries >= 100000);
   CHECK(touches > 30000 && grazes > 50);
   CHECK(missed == 0);
   // What is listed is within the margin but for float rounding. Most of that is not touched: the margin reaches out to
