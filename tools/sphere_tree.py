@@ -39,13 +39,13 @@ _PIECE = 0.1  # of G: sides of the pieces that the proof of full cover ends with
 _WORST = 1.9  # times G: what even a corner or an edge should not exceed
 _CORNERS = 0.05  # share of a given count that may go to them
 # Samples a ball, longest step in discs, rounds: many short rounds first, then ever more samples to trust.
-_PHASES = ((60, 0.3, 15), (150, 0.2, 20), (500, 0.1, 12))
+_PHASES = ((60, 0.4, 15), (150, 0.3, 20), (500, 0.2, 12))
 _FEW = 12
 _MOST_SAMPLES = 1_500_000
 _MOVES = 4  # a ball and round
 # Low and high end of what a sample may cost, in G; and how much worse a move may make it, in samples of a ball's share.
 _LOW, _HIGH = 0.9, 1.4
-_TEMPERATURE = 0.002
+_TEMPERATURE = 0.004
 
 
 def build_levels(
