@@ -38,6 +38,7 @@ _ALLOWED = 0.975  # of the error: what the 99th percentile varies by between set
 _PIECE = 0.1  # of G: sides of the pieces that the proof of full cover ends with
 _WORST = 1.9  # times G: what even a corner or an edge should not exceed
 _CORNERS = 0.05  # share of a given count that may go to them
+_RESERVE = 0.012  # share kept for corners that are left at the end
 # Samples a ball, longest step in discs, rounds: many short rounds first, then ever more samples to trust.
 _PHASES = ((60, 0.4, 15), (150, 0.3, 20), (500, 0.2, 12))
 _FEW = 12
@@ -129,10 +130,11 @@ def _within_count(solid: Solid, count: int, mode: str, seed: int, tell: Progress
         low, high = (middle, high) if _expected_count(solid, balls, middle) > count else (low, middle)
     budget = 1.3 * high
     balls = _spread(balls, count, budget, seed)
-    corners = np.empty((0, 4))
+    corners, total = np.empty((0, 4)), count
     for phase, (density, step, rounds) in enumerate(_phases(count)):
         if phase == len(_PHASES) - 1:
             corners = cover_corners(solid, balls, _WORST * budget, seed + 9, int(_CORNERS * count))
+            count -= int(_RESERVE * count)
         fit = _make_fit(solid, density * count, seed + 20 + phase)
         fit.set_budget(_LOW * budget, _HIGH * budget)
         fit.set_balls(solid.triangles, np.concatenate([corners, balls]), len(corners))
@@ -149,10 +151,11 @@ def _within_count(solid: Solid, count: int, mode: str, seed: int, tell: Progress
             fit.remove_useless()
         balls = fit.balls()
         if phase == len(_PHASES) - 1:
-            # What moved away from corners since.
-            more = cover_corners(solid, balls, _WORST * budget, seed + 10, int(_CORNERS * count))
-            fit.remove(len(balls) + len(more) - count)
-            balls = np.concatenate([fit.balls(), more])
+            # What moved away from corners since; and what is left of the reserve where most is bare.
+            more = cover_corners(solid, balls, _WORST * budget, seed + 10, total - len(balls))
+            fit.set_balls(solid.triangles, np.concatenate([balls, more]))
+            fit.add(total - len(balls) - len(more), 6)
+            balls = fit.balls()
         del fit  # before the next takes its memory
     return within(solid, balls)
 
