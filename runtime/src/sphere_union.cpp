@@ -181,8 +181,9 @@ std::vector<double> SphereUnion::radii_to_cover(const std::vector<Vec3>& vertice
       const auto [growth, ball] = least_growth(corners);
       if (growth <= 0) continue;
       const Vec3 &a = corners[0], &b = corners[1], &c = corners[2];
-      const double side = std::sqrt(std::max({(b - a).squaredNorm(), (c - b).squaredNorm(), (a - c).squaredNorm()}));
-      if (side <= finest) {
+      // Smaller pieces would spare this ball no more than that.
+      const Vec3 middle = (a + b + c) / 3;
+      if (balls_[ball].radius + growth - (middle - balls_[ball].center).norm() <= finest) {
         radii[ball] = std::max(radii[ball], balls_[ball].radius + growth);
         continue;
       }

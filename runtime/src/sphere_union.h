@@ -32,7 +32,7 @@ class SphereUnion {
   std::vector<SkinSample> skin(double offset, double spacing, std::uint64_t seed) const;
 
   // Radii that cover every point of the triangles: a triangle whose corners lie in one sphere is covered, any other is
-  // cut in four, and from sides of `finest` on the sphere that needs least grows to hold it.
+  // cut in four, until the sphere that needs to grow least for it would be spared at most `finest` by smaller pieces.
   std::vector<double> radii_to_cover(const std::vector<Vec3>& vertices,
                                      const std::vector<std::array<std::int32_t, 3>>& faces, double finest) const;
 
