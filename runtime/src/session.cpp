@@ -11,6 +11,7 @@ namespace palmar {
 namespace {
 
 constexpr int kContactCapacity = 512;
+constexpr int kStartSteps = 50;
 constexpr int kRows = 4096;           // of one programme
 constexpr double kContactGap = 1e-5;  // metres; a pair this near counts as a contact: ten times what a row aims at
 
@@ -144,10 +145,14 @@ const StepResult& Session::step(const Sample& sample) {
     haptic_ = inside_limits(q, clipped);
     if (clipped) status |= kLimit;
     if (!state_.started) {
-      if (start_at(haptic_)) gain_ = 0;
+      state_.haptic = haptic_;
+      if (start_at(haptic_)) {
+        gain_ = 0;
+        // Outside, but not yet as near as can be: what is shown first shall not drift from there.
+        for (int k = 0; k < kStartSteps; ++k) solve_({hand_, palm_, object_, settings_}, haptic_, state_, work_);
+      }
       haptic_before_ = haptic_;
       haptic_before_at_ = place_hand(hand_, haptic_);
-      state_.haptic = haptic_;
     }
     const bool apart = (haptic_.position - state_.graphic.position).norm() > settings_.release_beyond_m;
     HandPlacement haptic_at;

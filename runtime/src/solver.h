@@ -17,16 +17,16 @@ struct Settings {
   int level = -1;                  // of the object's SphereTree; -1 for the leaves
   std::string resample = "pchip";  // of the trace onto the step times: pchip, linear, hold
   double rate_hz = 1000;
-  int iterations = 4;             // linearise-solve-verify rounds in one step
-  int corrections = 2;            // re-linearisations at a trial pose that sinks in, in one round
-  int qp_iterations = 300;        // rows added or dropped in one programme
-  int candidates = 2048;          // pairs that one link's list has room for
-  double palm_priority = 1000;    // how much rather a flexion yields than the palm's position
-  double imposed_priority = 100;  // how much rather the palm's position yields than what is copied: rotation, abduction
-  double reach_least_m = 2e-4;    // how far around the hand a step looks, at least
-  double reach_most_m = 3e-3;     // and at most while anything is within it
-  double free_reach_m = 0.1;      // and where nothing is
-  double aim_m = 1e-6;            // gap that a linearised row asks for; what is published has gap >= 0
+  int iterations = 4;           // linearise-solve-verify rounds in one step
+  int corrections = 2;          // re-linearisations at a trial pose that sinks in, in one round
+  int qp_iterations = 300;      // rows added or dropped in one programme
+  int candidates = 2048;        // pairs that one link's list has room for
+  double palm_priority = 1;     // how much rather a flexion yields than the palm's position; 1: as the springs have it
+  double imposed_priority = 1;  // how much rather the palm's position yields than rotation and abduction; 1: likewise
+  double reach_least_m = 2e-4;  // how far around the hand a step looks, at least
+  double reach_most_m = 3e-3;   // and at most while anything is within it
+  double free_reach_m = 0.1;    // and where nothing is
+  double aim_m = 1e-6;          // gap that a linearised row asks for; what is published has gap >= 0
   double joint_step_rad = 0.0174;  // an angle changes by at most this in a step, or by what the haptic one did if more
   double force_step_n = 0;         // above 0: forces follow the spring's at most so much a step faster than the
                                    // haptic hand's own motion explains

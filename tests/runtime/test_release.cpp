@@ -84,9 +84,13 @@ int main() {
       {made::plate(25, 0.004, 0.003), flat, flat, curled(0.1, {0, -0.05, -0.2}), 2.0},
       {made::ears(), over_ears, over_ears, curled(0.6, {0, -0.05, -0.25}), 1.5},
   };
-  for (const Way& way : ways) {
+  for (int k = 0; k < 2 * int(ways.size()); ++k) {
+    const Way& way = ways[std::size_t(k / 2)];
     Settings settings;
     settings.release_after_s = 0.2;
+    // A wrist that turns under the load may slip past what a stiff one is left behind at.
+    const bool stiff = k % 2 == 0;
+    if (stiff) settings.palm_priority = 1000, settings.imposed_priority = 100;
     Session session(hand, way.object, settings);
     const int closing = 200;
     const int moving = closing + int(1e3 * (way.to.position - way.via.position).norm() / way.speed);
@@ -110,8 +114,8 @@ int main() {
       if (step > moving && arrived < 0 && palm_distance(r) < 1e-3) arrived = step;
     }
     CHECK(deepest <= 1e-12);  // metres: rounding of two ways to the same gap
-    CHECK(left_behind > settings.release_beyond_m);
-    CHECK(released > 0);
+    if (stiff) CHECK(left_behind > settings.release_beyond_m);
+    if (stiff) CHECK(released > 0);
     CHECK(arrived > 0 && arrived < moving + 2500);
     CHECK(force_before < 0.05);
     std::printf("released for %d ms, arrived after %d ms, left behind by %.0f mm, force step %.2f N\n", released,

@@ -170,8 +170,11 @@ int main() {
   // The flat of the palm onto a plate of many small spheres, slowly and fast: it stops there, and comes off again.
   {
     const std::vector<Sphere> dense = made::plate(400, 0.00025, 0.0003);
+    Settings upright;  // a palm that does not tilt under the press stops where its radius says
+    upright.palm_priority = 1000;
+    upright.imposed_priority = 100;
     for (const double way : {0.001, 0.02, 0.05}) {
-      Session session(hand, dense, Settings{});
+      Session session(hand, dense, upright);
       Sample s;
       s.pose.palm.rotation_wxyz = {0, 0, 1, 0};  // the thumb away from the plate
       const auto go = [&](double z) {
