@@ -154,6 +154,9 @@ def build(
     ] = False,
     error_mm: Annotated[float | None, typer.Option(help="Largest error of the sphere model.")] = None,
     spheres: Annotated[int | None, typer.Option(help="Number of leaf spheres instead of an error.")] = None,
+    mode: Annotated[
+        str, typer.Option(help="balanced: least error both ways; inside: nothing sticks out; outside: covers the mesh.")
+    ] = "balanced",
     hand: Annotated[Path | None, typer.Option(help="Hand as TOML; the default hand if left out.")] = None,
     spheres_csv: Annotated[
         Path | None, typer.Option(help="Leaf spheres x, y, z, radius as they are, of the one mesh given.")
@@ -176,6 +179,7 @@ def build(
             close=close,
             error_mm=error_mm,
             spheres=spheres,
+            mode=mode,
             hand_path=hand,
             spheres_csv=spheres_csv,
             csv_units=csv_units,
