@@ -72,7 +72,8 @@ def union_skin(
 def radii_to_cover(spheres: np.ndarray, vertices: np.ndarray, faces: np.ndarray, finest: float) -> np.ndarray:
     """Radii (m,), none less than before, with which the spheres (m, 4) cover every point of the triangles.
 
-    A triangle with its corners in one sphere is covered; others are cut in four, until that spares a sphere less than `finest`.
+    A triangle with its corners in one sphere is covered; others are cut in four, until that spares a sphere less than
+    `finest`.
     """
 
 class TriangleTree:

@@ -316,14 +316,14 @@ RoundEnd run_round(Round& r) {
 
   for (int attempt = 0; attempt < kAttempts; ++attempt) {
     const auto from_start = [&] { return largest_motion(scene.hand, start_placement, r.trial_placement); };
-    if (from_start() < scene.settings.settled_m) {
+    if (touching && from_start() < scene.settings.settled_m) {
       end.failed = false;
       return end;
     }
     if (!good) good = r.restore(allowed);
     if (good && cost(r.weight, difference(r.haptic, r.trial)) < start_cost) {
       end.motion = from_start();
-      end.moved = end.motion >= scene.settings.settled_m;
+      end.moved = end.motion > (touching ? scene.settings.settled_m : 0.0);
       end.failed = false;
       if (end.moved) r.publish();
       return end;
