@@ -1,7 +1,8 @@
 # Runs every program of PROGRAMS (";"-separated, "path argument") and fails unless all that can run print the same.
 foreach(program ${PROGRAMS})
-  separate_arguments(command UNIX_COMMAND "${program}")
-  execute_process(COMMAND ${command} OUTPUT_VARIABLE said RESULT_VARIABLE code)
+  # The path may hold spaces, the argument does not.
+  string(REGEX MATCH "^(.+) ([^ ]+)$" both "${program}")
+  execute_process(COMMAND "${CMAKE_MATCH_1}" "${CMAKE_MATCH_2}" OUTPUT_VARIABLE said RESULT_VARIABLE code)
   if(code EQUAL 77)
     message("${said}: left out")
   elseif(NOT code EQUAL 0)
