@@ -19,7 +19,7 @@ demo: .venv/installed
 
 test: programs
 	@echo "== C++ tests"
-	@$(BIN)/ctest --test-dir build/tests --output-on-failure
+	@$(BIN)/ctest --test-dir build/tests --output-on-failure --parallel 2
 	@echo "== Python tests"
 	@$(BIN)/python -m pytest
 
