@@ -3,6 +3,7 @@
 
 #include <random>
 
+#include "gap.h"
 #include "hand.h"
 #include "sphere_tree.h"
 
@@ -104,6 +105,18 @@ inline Configuration random_configuration(std::mt19937& rng, double spread) {
     for (int j = 0; j < kPhalanges; ++j) q.flexion[f][j] = flex(rng);
   }
   return q;
+}
+
+// The least gap of the whole hand to every sphere, one by one.
+inline double brute_gap(const HandModel& hand, const std::vector<Sphere>& spheres, const HandPose& pose) {
+  const HandPlacement at = place_hand(hand, to_configuration(pose));
+  double least = 1e9;
+  for (const Sphere& s : spheres) {
+    for (const PalmSphere& p : hand.palm)
+      least = std::min(least, (at.rotation * p.center + at.position - s.center).norm() - p.radius - s.radius);
+    for (const Capsule& c : at.phalanx) least = std::min(least, capsule_sphere_gap(c, s.center, s.radius).gap);
+  }
+  return least;
 }
 
 }  // namespace palmar::made

@@ -9,17 +9,6 @@ using namespace palmar;
 
 namespace {
 
-double brute_gap(const HandModel& hand, const std::vector<Sphere>& spheres, const HandPose& pose) {
-  const HandPlacement at = place_hand(hand, to_configuration(pose));
-  double least = 1e9;
-  for (const Sphere& s : spheres) {
-    for (const PalmSphere& p : hand.palm)
-      least = std::min(least, (at.rotation * p.center + at.position - s.center).norm() - p.radius - s.radius);
-    for (const Capsule& c : at.phalanx) least = std::min(least, capsule_sphere_gap(c, s.center, s.radius).gap);
-  }
-  return least;
-}
-
 double palm_distance(const StepResult& r) {
   return (to_vec3(r.graphic.palm.position_m) - to_vec3(r.haptic.palm.position_m)).norm();
 }
@@ -103,7 +92,7 @@ int main() {
     int released = 0, arrived = -1, step = 0;
     for (; step < moving + 4000; ++step) {
       const StepResult& r = session.step(sample_at(step, haptic(step)));
-      deepest = std::max(deepest, -brute_gap(hand, way.object, r.graphic));
+      deepest = std::max(deepest, -made::brute_gap(hand, way.object, r.graphic));
       left_behind = std::max(left_behind, palm_distance(r));
       const double force = largest_force(r);
       if (r.status & kReleasing) {
@@ -142,7 +131,7 @@ int main() {
     Vec3 before(0, 0, 0);
     for (int step = 0; step < 200; ++step) {
       const StepResult& r = session.step(sample_at(step, inside));
-      CHECK(brute_gap(hand, object, r.graphic) >= -1e-12);
+      CHECK(made::brute_gap(hand, object, r.graphic) >= -1e-12);
       CHECK(r.graphic.palm.position_m[2] > 0.04);
       CHECK(palm_distance(r) < 1.5 * depth + 1e-3);
       const Vec3 shown = to_vec3(r.graphic.palm.position_m);

@@ -7,18 +7,6 @@ using namespace palmar;
 
 namespace {
 
-// The least gap of the whole hand to every sphere, one by one.
-double brute_gap(const HandModel& hand, const std::vector<Sphere>& spheres, const HandPose& pose) {
-  const HandPlacement at = place_hand(hand, to_configuration(pose));
-  double least = 1e9;
-  for (const Sphere& s : spheres) {
-    for (const PalmSphere& p : hand.palm)
-      least = std::min(least, (at.rotation * p.center + at.position - s.center).norm() - p.radius - s.radius);
-    for (const Capsule& c : at.phalanx) least = std::min(least, capsule_sphere_gap(c, s.center, s.radius).gap);
-  }
-  return least;
-}
-
 // Targets that a hand would not dare: new ones every 20 to 200 steps, a tenth of them at once, the rest in between.
 std::vector<Sample> wild_motion(unsigned seed, int steps) {
   std::mt19937 rng(seed);
@@ -59,7 +47,7 @@ int main() {
       const long before = allocations;
       const StepResult& r = session.step(s);
       in_step += allocations - before;
-      deepest = std::max(deepest, -brute_gap(hand, objects[o], r.graphic));
+      deepest = std::max(deepest, -made::brute_gap(hand, objects[o], r.graphic));
       contacts += r.contacts;
       kept += (r.status & kKeptPrevious) != 0;
       for (int f = 0; f < kFingers; ++f)
@@ -162,7 +150,7 @@ int main() {
       Session session(hand, objects[2], settings);
       double deepest = 0;
       for (const Sample& s : wild_motion(seed, 1500))
-        deepest = std::max(deepest, -brute_gap(hand, objects[2], session.step(s).graphic));
+        deepest = std::max(deepest, -made::brute_gap(hand, objects[2], session.step(s).graphic));
       CHECK(deepest <= 1e-12);
     }
   }
