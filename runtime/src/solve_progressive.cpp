@@ -1,13 +1,13 @@
-// The product's solver: feasible sequential quadratic programming with priorities.
+// The product's solver: feasible sequential quadratic programming.
 //
 // Every step starts from the last published pose, which touches nothing (all gaps >= 0), and looks for one that costs
-// less. One programme holds the palm (translation, rotation) and the fingers (abduction, three flexions). The palm's
-// position weighs `palm_priority` times its stiffness, so a finger gives way before the palm does: the paper's order,
-// palm before fingers (Eqs. 8, 9), as a limit of weights. What the paper copies from the haptic hand, rotation and
-// abduction, weighs `imposed_priority` times more again and gives way last. Standing still satisfies every row, so the
-// programme always has an answer, blocked fingers and imposed rotations included: no mode to switch, no retry.
+// less. One programme holds the palm (translation, rotation) and the fingers (abduction, three flexions), weighed by
+// their springs, so that the force is the gradient of one energy. With `palm_priority` large the paper's order, palm
+// before fingers (Eqs. 8, 9), comes back as a limit of weights; with `imposed_priority`, what the paper copies from the
+// haptic hand, rotation and abduction, gives way last. Standing still satisfies every row, so the programme always has
+// an answer, blocked fingers included: no mode to switch.
 //
-// A pose is published only if (1) no link moved farther than the margin that the candidates were gathered with, so no
+// A pose is published only if (1) no link moved farther than the margin of its list, so no
 // sphere outside the list can have been touched or skipped; (2) every candidate's exact gap there is >= 0; (3) it costs
 // less than the pose before. By (3) a constant input has no limit cycle.
 #include <algorithm>

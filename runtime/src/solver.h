@@ -98,7 +98,7 @@ struct SolverRow {
 };
 
 inline constexpr SolverRow SOLVERS[] = {
-    {"progressive", solve_progressive, "down one spring energy of palm, wrist and fingers; every published pose verified"},
+    {"progressive", solve_progressive, "down one spring energy; every published pose verified"},
     {"paper", solve_paper, "the published method: palm, then fingers, one linearisation each"},
     {"monolithic", solve_monolithic, "one programme over palm and fingers, one linearisation"},
     {"aggregate", solve_aggregate, "monolithic, the contacts of each region of a link merged into one"},
