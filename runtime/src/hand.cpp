@@ -6,12 +6,10 @@ namespace palmar {
 
 void HandModel::finish() {
   palm_low = palm_high = palm.front().center;
-  palm_radius_max = 0;
   reach = 0;
   for (const PalmSphere& s : palm) {
     palm_low = palm_low.cwiseMin(s.center);
     palm_high = palm_high.cwiseMax(s.center);
-    palm_radius_max = std::max(palm_radius_max, s.radius);
     reach = std::max(reach, s.center.norm() + s.radius);
   }
   for (Finger& f : finger) {

@@ -44,10 +44,9 @@ struct HandModel {
   double palm_stiffness = 1000;         // N / m
   double palm_rotation_stiffness = 10;  // N m / rad
   Vec3 palm_low, palm_high;             // box around the palm spheres' centres
-  double palm_radius_max = 0;
-  double reach = 0;  // no point of the hand is farther from the palm's origin, in any pose
+  double reach = 0;                     // no point of the hand is farther from the palm's origin, in any pose
 
-  // Fills the box, the largest radius, the levers and the reach from the rest.
+  // Fills the box, the levers and the reach from the rest.
   void finish();
 };
 
