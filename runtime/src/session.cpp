@@ -11,6 +11,7 @@ namespace palmar {
 namespace {
 
 constexpr int kContactCapacity = 512;
+constexpr double kLongestStep = 0.1;  // seconds; a clock that leaps farther says no more than that time has passed
 constexpr int kStartSteps = 50;
 constexpr int kRows = 4096;           // of one programme
 constexpr double kContactGap = 1e-5;  // metres; a pair this near counts as a contact: ten times what a row aims at
@@ -118,11 +119,11 @@ bool Session::start_at(const Configuration& haptic) {
   return true;
 }
 
-// Between this sample and the last; a step of the settings' rate where the clock says nothing of use.
+// Between this sample and the last; a step of the settings' rate where the clock stands or goes back.
 double Session::seconds_since_last(double time_s) {
   const double passed = time_s - time_s_;
   if (std::isfinite(time_s)) time_s_ = time_s;
-  return passed > 0 && passed <= 0.1 ? passed : 1.0 / settings_.rate_hz;
+  return passed > 0 ? std::min(passed, kLongestStep) : 1.0 / settings_.rate_hz;
 }
 
 const StepResult& Session::step(const Sample& sample) {
