@@ -18,7 +18,7 @@ LAYERS = [
     "contacts trace_file run_file",
     "force filter release",
     "solver",
-    "baseline",
+    "baseline round",
     "solve_.*",
     "settings session",
     "replay",

@@ -1,7 +1,6 @@
 #include "baseline.h"
 
 #include <algorithm>
-#include <chrono>
 #include <limits>
 
 namespace palmar {
@@ -16,12 +15,6 @@ constexpr double kSlackStiffness = 1e4;  // of a violation, in units of the palm
 constexpr double kPalmStep = 0.1;             // metres
 constexpr double kPalmTurn = 1.0;             // rad
 constexpr double kProgrammeTolerance = 1e-9;  // metres
-
-using Clock = std::chrono::steady_clock;
-
-double microseconds_since(Clock::time_point start) {
-  return std::chrono::duration<double, std::micro>(Clock::now() - start).count();
-}
 
 }  // namespace
 

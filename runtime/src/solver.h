@@ -1,7 +1,7 @@
 // A solver moves the graphic hand one step towards the haptic hand. All solvers share this signature and these values.
 #pragma once
 
-#include <memory>
+#include <chrono>
 #include <string>
 #include <vector>
 
@@ -45,7 +45,6 @@ struct SolverState {
   HandPlacement placement;   // of graphic
   Configuration haptic;      // of the step before
   PerLink reach{};           // how far around each link the next step looks
-  PerLink motion{};          // how far each link went in this one
   bool resting = false;      // the step moved nothing, and another one with this haptic pose would not either
   std::uint32_t status = 0;  // of that step
   Change velocity{};         // of graphic, where a solver integrates over time
@@ -73,6 +72,12 @@ struct Workspace {
   std::uint32_t operations = 0;  // nodes visited, gaps evaluated, rows made, programme iterations
   double search_us = 0, solve_us = 0, verify_us = 0;
 };
+
+using Clock = std::chrono::steady_clock;
+
+inline double microseconds_since(Clock::time_point start) {
+  return std::chrono::duration<double, std::micro>(Clock::now() - start).count();
+}
 
 struct Scene {
   const HandModel& hand;

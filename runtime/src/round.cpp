@@ -1,0 +1,284 @@
+#include "round.h"
+
+#include <algorithm>
+#include <limits>
+
+namespace palmar {
+
+namespace {
+
+constexpr int kRowRounds = 8;      // programmes in a round, each with the rows that the last one lacked,
+constexpr int kRowsMore = 4;       // at most so many for each link
+constexpr double kRowNear = 3e-5;  // metres: a pair this near gets a row before it is asked for
+constexpr int kAttempts = 3;       // trial poses along one direction: all of it, a quarter, a sixteenth
+
+double cost(const Change& weight, const Change& d) {
+  double sum = 0;
+  for (int v = 0; v < kVariables; ++v) sum += weight[v] * d[v] * d[v];
+  return 0.5 * sum;
+}
+
+// No variable alone may carry link l farther than motion[l].
+Change variable_bounds(const HandModel& hand, const PerLink& motion) {
+  Change bound;
+  const double least = *std::min_element(motion.begin(), motion.end());
+  for (int k = 0; k < 3; ++k) {
+    bound[k] = least;
+    bound[3 + k] = least / hand.reach;
+  }
+  for (int f = 0; f < kFingers; ++f) {
+    const int v = kPalmVariables + kFingerVariables * f;
+    for (int j = 0; j < kPhalanges; ++j) {
+      bound[v + 1 + j] = std::numeric_limits<double>::infinity();
+      for (int k = j; k < kPhalanges; ++k)
+        bound[v + 1 + j] = std::min(bound[v + 1 + j], motion[1 + kPhalanges * f + k] / hand.finger[f].lever[j][k]);
+    }
+    bound[v] = bound[v + 1];
+  }
+  return bound;
+}
+
+}  // namespace
+
+Change programme_weights(const HandModel& hand, const Settings& settings) {
+  const double priority = settings.palm_priority, imposed = priority * settings.imposed_priority;
+  Change w;
+  for (int k = 0; k < 3; ++k) {
+    w[k] = priority * hand.palm_stiffness;
+    w[3 + k] = imposed * hand.palm_rotation_stiffness;
+  }
+  for (int f = 0; f < kFingers; ++f) {
+    const int v = kPalmVariables + kFingerVariables * f;
+    w[v] = imposed * hand.finger[f].stiffness[0];
+    for (int j = 0; j < kPhalanges; ++j) w[v + 1 + j] = hand.finger[f].stiffness[j];
+  }
+  return w;
+}
+
+AngleRates angle_rates(const Configuration& haptic, const Configuration& before, double least) {
+  AngleRates rate;
+  for (int f = 0; f < kFingers; ++f) {
+    rate[kFingerVariables * f] = std::max(least, std::abs(haptic.abduction[f] - before.abduction[f]));
+    for (int j = 0; j < kPhalanges; ++j)
+      rate[kFingerVariables * f + 1 + j] = std::max(least, std::abs(haptic.flexion[f][j] - before.flexion[f][j]));
+  }
+  return rate;
+}
+
+// Places the hand at `q` and looks how it stands there. True if every gap is known and none is negative.
+bool Round::verify(const Configuration& q) {
+  const auto start = Clock::now();
+  trial = q;
+  trial_placement = place_hand(scene.hand, q);
+  trial_known = true;
+  for (int link = 0; link < kLinks; ++link)
+    trial_known &= room_of(scene.hand, work.candidates, trial_placement, link) >= 0;
+  trial_least = evaluate_gaps(scene.hand, work.candidates, trial_placement, work.trial_gap.data());
+  work.operations += work.candidates.total();
+  work.verify_us += microseconds_since(start);
+  return trial_known && trial_least >= 0;
+}
+
+// The most that any link moved between two placements, as a share of what it is allowed.
+double Round::excess(const HandPlacement& from, const HandPlacement& to, const PerLink& allowed) const {
+  double most = 0;
+  for (int link = 0; link < kLinks; ++link)
+    most = std::max(most, link_motion(scene.hand, from, to, link) / allowed[link]);
+  return most;
+}
+
+// What the joint limits and the rates leave of each variable from q; never without zero.
+void Round::joint_room(const Configuration& q, Change& lower, Change& upper) const {
+  lower.fill(-std::numeric_limits<double>::infinity());
+  upper.fill(std::numeric_limits<double>::infinity());
+  for (int f = 0; f < kFingers; ++f) {
+    const Finger& finger = scene.hand.finger[f];
+    const int v = kPalmVariables + kFingerVariables * f;
+    const auto room = [&](int k, double angle, double from, const std::array<double, 2>& limit) {
+      const double most = rate[kFingerVariables * f + k];
+      lower[v + k] = std::min(0.0, std::max(limit[0], from - most) - angle);
+      upper[v + k] = std::max(0.0, std::min(limit[1], from + most) - angle);
+    };
+    room(0, q.abduction[f], begin.abduction[f], finger.abduction_limit);
+    for (int j = 0; j < kPhalanges; ++j) room(1 + j, q.flexion[f][j], begin.flexion[f][j], finger.flexion_limit[j]);
+  }
+}
+
+// The programme at a pose: towards `wish`, no variable carrying a link farther than it is allowed, with a row for
+// each pair within `near` of its link or named in work.wanted.
+QpResult Round::programme(const HandPlacement& at, const Configuration& q, const double* gap, const Change& wish,
+                          const PerLink& allowed, const PerLink& near, bool push_out) {
+  const auto start = Clock::now();
+  const Settings& s = scene.settings;
+  // Rows that do not fit are left out: whether they were needed is seen at the trial pose.
+  linearise(scene.hand, work.candidates, at, gap, near, work.wanted.data(), s.aim_m, push_out, work.rows,
+            work.row_candidate.data());
+  QpProblem problem;
+  for (int v = 0; v < kVariables; ++v) problem.inverse_weight[v] = 1.0 / weight[v];
+  problem.target = wish;
+  problem.bound = variable_bounds(scene.hand, allowed);
+  joint_room(q, problem.lower, problem.upper);
+  const QpResult result = solve_qp(problem, work.rows, 1e-9, s.qp_iterations, work.violation.data());
+  work.operations += work.rows.count + result.iterations;
+  work.solve_us += microseconds_since(start);
+  return result;
+}
+
+// Names, of the pairs of each link that the trial pose sinks into and that had no row, the kRowsMore deepest: their
+// rows keep most of the others out. True if there are any.
+bool Round::want_more_rows() {
+  const int before = work.wanted_count;
+  for (int link = 0; link < kLinks; ++link) {
+    std::array<int, kRowsMore> deepest;
+    int count = 0;
+    for (int i = work.candidates.begin(link); i < work.candidates.end(link); ++i) {
+      if (work.trial_gap[i] >= 0 || work.wanted[i]) continue;
+      // Of two that are as deep to a nanometre the first in the list, so that rounding does not choose.
+      const auto deeper = [&](int than) { return work.trial_gap[i] < work.trial_gap[than] - 1e-9; };
+      if (count == kRowsMore && !deeper(deepest[count - 1])) continue;
+      int k = count < kRowsMore ? count++ : count - 1;
+      for (; k > 0 && deeper(deepest[k - 1]); --k) deepest[k] = deepest[k - 1];
+      deepest[k] = i;
+    }
+    for (int k = 0; k < count; ++k) {
+      work.wanted[deepest[k]] = 1;
+      work.wanted_pair[work.wanted_count++] = deepest[k];
+    }
+  }
+  return work.wanted_count > before;
+}
+
+void Round::want_none() {
+  while (work.wanted_count > 0) work.wanted[work.wanted_pair[--work.wanted_count]] = 0;
+}
+
+// Moves the trial pose, which sinks in by a second-order error, the least way to where every gap is `aim` again.
+bool Round::restore(const PerLink& allowed) {
+  PerLink near;
+  near.fill(kRowNear);
+  for (int k = 0; k < scene.settings.corrections && trial_least < 0 && trial_known; ++k) {
+    const Configuration here = trial;
+    want_more_rows();
+    const QpResult result = programme(trial_placement, here, work.trial_gap.data(), Change{}, allowed, near, true);
+    if (result.status != QpStatus::solved) return false;
+    if (verify(moved(here, result.x, 1.0))) return true;
+  }
+  return false;
+}
+
+// q moved by a share of a change, joints not past their limits by rounding.
+Configuration Round::moved(const Configuration& q, const Change& change, double share) const {
+  Configuration to = advance(q, change, share);
+  for (int f = 0; f < kFingers; ++f) {
+    const Finger& finger = scene.hand.finger[f];
+    to.abduction[f] = std::clamp(to.abduction[f], finger.abduction_limit[0], finger.abduction_limit[1]);
+    for (int j = 0; j < kPhalanges; ++j)
+      to.flexion[f][j] = std::clamp(to.flexion[f][j], finger.flexion_limit[j][0], finger.flexion_limit[j][1]);
+  }
+  return to;
+}
+
+void Round::remember_active(const QpResult& result) {
+  work.active_count = 0;
+  for (int j = 0; j < result.active; ++j)
+    if (result.active_row[j] >= 0)
+      work.active[work.active_count++] = {work.row_candidate[result.active_row[j]], result.multiplier[j]};
+}
+
+void Round::publish() {
+  state.graphic = trial;
+  state.placement = trial_placement;
+  std::swap(work.gap, work.trial_gap);
+}
+
+RoundEnd Round::run() {
+  const Configuration start = state.graphic;
+  const HandPlacement start_placement = state.placement;
+  const Change way = difference(haptic, start);
+  const double start_cost = cost(weight, way);
+  RoundEnd end;
+  if (start_cost == 0) return end;
+
+  // What each list leaves its link; 2 % spare, because a linear share of a turn is not quite a share of its motion.
+  // Linear rows are good to about motion^2 / (2 x 50 mm): near contact a round moves a link no farther than reach_most.
+  PerLink allowed, near;
+  bool touching = false;
+  for (int link = 0; link < kLinks; ++link) {
+    const int first = work.candidates.begin(link);
+    const double room = 0.98 * room_of(scene.hand, work.candidates, start_placement, link);
+    const double least = smallest(work.gap.data() + first, work.candidates.count[link]);
+    if (!(room > 0)) {
+      end.failed = true;
+      return end;
+    }
+    touching |= least <= room;
+    allowed[link] = std::min(room, std::max(scene.settings.reach_most_m, least));
+    near[link] = std::min(allowed[link], kRowNear);
+  }
+
+  const auto verify_within = [&](const Configuration& next, const Change& step, double& fraction) {
+    bool good = verify(next);
+    double over = excess(start_placement, trial_placement, allowed);
+    // Rotations bend the path: a few rounds of scaling bring the motion within what is allowed.
+    // A bound that holds to rounding is held: a thousandth of the spare is enough for that.
+    for (int k = 0; k < 3 && over > 1.001; ++k) {
+      for (int link = 0; link < kLinks; ++link)
+        end.cut[link] |= link_motion(scene.hand, start_placement, trial_placement, link) > allowed[link];
+      end.any_cut = true;
+      fraction *= 0.99 / over;
+      good = verify(moved(start, step, fraction));
+      over = excess(start_placement, trial_placement, allowed);
+    }
+    return good;
+  };
+
+  Change step = way;
+  double fraction = 1.0;
+  bool good = false;
+  want_none();
+  if (touching) {
+    for (int k = 0; k < kRowRounds; ++k) {
+      const QpResult result = programme(start_placement, start, work.gap.data(), way, allowed, near, false);
+      if (result.status != QpStatus::solved) {
+        end.failed = true;
+        return end;
+      }
+      step = result.x;
+      fraction = 1.0;
+      remember_active(result);
+      good = verify_within(moved(start, step, 1.0), step, fraction);
+      if (good || !want_more_rows()) break;
+    }
+  } else {
+    work.active_count = 0;
+    Change lower, upper;
+    joint_room(start, lower, upper);
+    for (int v = 0; v < kVariables; ++v) step[v] = std::clamp(way[v], lower[v], upper[v]);
+    // With nothing in the way it is the haptic pose itself, so that a free hand is the haptic hand to the bit.
+    good = verify_within(step == way ? haptic : advance(start, step, 1.0), step, fraction);
+  }
+
+  for (int attempt = 0; attempt < kAttempts; ++attempt) {
+    const auto from_start = [&] { return largest_motion(scene.hand, start_placement, trial_placement); };
+    if (touching && from_start() < scene.settings.settled_m) {
+      end.failed = false;
+      return end;
+    }
+    if (!good) good = restore(allowed);
+    if (good && cost(weight, difference(haptic, trial)) < start_cost) {
+      end.motion = from_start();
+      end.moved = end.motion > (touching ? scene.settings.settled_m : 0.0);
+      end.failed = false;
+      if (end.moved) publish();
+      return end;
+    }
+    end.failed = !good;
+    if (attempt + 1 == kAttempts) break;
+    // A quarter of the way has a sixteenth of the error.
+    fraction *= 0.25;
+    good = verify_within(moved(start, step, fraction), step, fraction);
+  }
+  return end;
+}
+
+}  // namespace palmar

@@ -1,0 +1,56 @@
+// One round of `progressive`: linearise, solve, verify. Whatever it publishes has been verified here.
+#pragma once
+
+#include "solver.h"
+
+namespace palmar {
+
+// How a round ended: whether the pose moved, how far, and which links their lists (not the contacts) stopped.
+struct RoundEnd {
+  bool moved = false;
+  double motion = 0;
+  std::array<bool, kLinks> cut{};
+  bool any_cut = false;
+  bool failed = false;  // there was somewhere to go, and no pose on the way could be verified
+};
+
+// How far each angle may be from where the step began: its own rate, or the haptic hand's if that is faster. A finger
+// that comes free swings back to the haptic one instead of jumping. Abduction first, then flexions, finger by finger.
+using AngleRates = std::array<double, kVariables - kPalmVariables>;
+AngleRates angle_rates(const Configuration& haptic, const Configuration& before, double least);
+
+// The springs' stiffness, weighed by the settings' priorities.
+Change programme_weights(const HandModel& hand, const Settings& settings);
+
+// One step's attempts to better the pose: what its rounds share.
+struct Round {
+  const Scene& scene;
+  const Configuration& haptic;
+  SolverState& state;
+  Workspace& work;
+  Change weight;
+  Configuration begin;  // of the step
+  AngleRates rate;
+
+  Configuration trial{};
+  HandPlacement trial_placement{};
+  double trial_least = 0;    // its smallest gap
+  bool trial_known = false;  // no link has left what its list covers
+
+  // Moves state.graphic to a verified pose that costs less, if it finds one.
+  RoundEnd run();
+
+  bool verify(const Configuration& q);
+  double excess(const HandPlacement& from, const HandPlacement& to, const PerLink& allowed) const;
+  void joint_room(const Configuration& q, Change& lower, Change& upper) const;
+  QpResult programme(const HandPlacement& at, const Configuration& q, const double* gap, const Change& wish,
+                     const PerLink& allowed, const PerLink& near, bool push_out);
+  bool want_more_rows();
+  void want_none();
+  bool restore(const PerLink& allowed);
+  Configuration moved(const Configuration& q, const Change& change, double share) const;
+  void remember_active(const QpResult& result);
+  void publish();
+};
+
+}  // namespace palmar
