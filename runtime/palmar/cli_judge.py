@@ -1,0 +1,128 @@
+"""Verbs that replay, judge and report."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from palmar.cli_app import FAILED, LOSS, Json, Object, OutFile, OutFolder, app, complain, parse_pairs
+from palmar.errors import PalmarError
+
+
+@app.command()
+def replay(
+    pack: Annotated[Path, typer.Argument(help="Pack with the hand and the object.")],
+    trace: Annotated[Path, typer.Argument(help="Trace of the haptic hand.")],
+    *,
+    out: OutFile,
+    name: Object = "",
+    solver: Annotated[str, typer.Option(help="Name of the solver.")] = "progressive",
+    resample: Annotated[str, typer.Option(help="Samples onto the steps: pchip, linear or hold.")] = "pchip",
+    level: Annotated[int | None, typer.Option(help="Level of the object's SphereTree; the leaves if left out.")] = None,
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", help="key=value of any setting; may be repeated.")
+    ] = None,
+    accept_loss: Annotated[bool, typer.Option("--accept-loss", help="Replay what is left of a damaged trace.")] = False,
+    json: Json = False,
+) -> int:
+    """Pack + trace -> run. A damaged trace is refused unless its loss is accepted; the exit code is 3 either way."""
+    from palmar.files import lost_line, require_file, require_place
+    from palmar.records import read_trace
+    from palmar.replay import object_of, replay_file
+    from palmar.show import print_replay
+    from palmar.terminal import print_json, progress_bar
+
+    named = [f"solver={solver}", f"resample={resample}", *([f"level={level}"] if level is not None else [])]
+    settings = parse_pairs("--set", [*named, *(setting or [])])
+    require_file(pack)
+    require_place(out)
+    samples = read_trace(require_file(trace))
+    damage = lost_line(trace, samples.lost)
+    if damage and not accept_loss:
+        return complain(f"{damage}; nothing was written: pass --accept-loss to replay what is left", LOSS)
+    with progress_bar(not json) as progress:
+        name = name or object_of(samples, pack)
+        answer = replay_file(pack, trace, out, object_name=name, settings=settings, progress=progress)
+    print_json(answer) if json else print_replay(answer)
+    return complain(damage, LOSS) if damage else 0
+
+
+@app.command()
+def report(
+    runs: Annotated[list[Path], typer.Argument(help="Runs to judge.")],
+    *,
+    out: OutFolder,
+    pack: Annotated[
+        list[Path] | None,
+        typer.Option("--pack", help="Pack that a run was made with; also looked for beside the run. May be repeated."),
+    ] = None,
+    reference: Annotated[
+        list[Path] | None,
+        typer.Option("--reference", help="Run of the same trace to compare the cost with. May be repeated."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Runs -> a page, figures, tables and metrics.json."""
+    from palmar.eval.report import write_report
+    from palmar.files import find_packs, require_file, require_folder
+    from palmar.reference import same_start
+    from palmar.terminal import print_json, progress_bar
+
+    pairs = find_packs(runs, pack or [])
+    require_folder(out)
+    with progress_bar(not json) as progress:
+        answer = write_report(
+            pairs,
+            out,
+            progress=lambda done, total, what: progress(what, done / total),
+            same_start=same_start,
+            references=[require_file(path) for path in reference or []],
+        )
+    if json:
+        print_json(answer)
+    else:
+        print(*(f"{run['run']}: {run['verdict']}" for run in answer["runs"]), f"report: {answer['page']}", sep="\n")
+
+
+@app.command()
+def check(
+    scenes: Annotated[
+        list[str] | None, typer.Argument(metavar="SCENE...", help="Names of scenes or TOML files; the suite if none.")
+    ] = None,
+    *,
+    solver: Annotated[
+        list[str] | None, typer.Option("--solver", help="Name of a solver; may be repeated. progressive if left out.")
+    ] = None,
+    suite: Annotated[str, typer.Option("--suite", help="Scenes to take if none is named: stability.")] = "stability",
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", help="key=value of any setting, over the scene's; may be repeated.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="The first case of each scene, two starts of it.")] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for check.json and each scene's worst run.")
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Hard cases -> whether every limit holds; the exit code is 1 where one does not."""
+    from palmar.check import check_scenes
+    from palmar.files import require_folder
+    from palmar.terminal import print_json, progress_bar
+
+    if suite != "stability":
+        raise PalmarError("E-USAGE", "--suite", f"{suite!r}; stability is the one there is")
+    if out is not None:
+        require_folder(out)
+    settings = parse_pairs("--set", setting or [])
+    with progress_bar(not json) as progress:
+        answer = check_scenes(
+            scenes or [],
+            solvers=solver or ["progressive"],
+            settings=settings,
+            quick=quick,
+            out=out,
+            progress=progress,
+            say=(lambda line: None) if json else lambda line: print(line, flush=True),
+        )
+    if json:
+        print_json(answer)
+    return 0 if answer["passed"] else FAILED

@@ -1,0 +1,74 @@
+"""Verbs that make a pack, and the whole way at once."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from palmar.cli_app import Json, OutFile, OutFolder, Seed, app
+
+
+@app.command()
+def demo(out: OutFolder = Path("demo"), seed: Seed = 0, json: Json = False) -> None:
+    """The whole way on built-in objects and a scripted grasp: pack, trace, run, report."""
+    from palmar.demo import make_demo
+    from palmar.files import require_folder
+    from palmar.terminal import print_json, progress_bar
+
+    require_folder(out)
+    with progress_bar(not json) as progress:
+        answer = make_demo(out, seed=seed, progress=progress, say=(lambda line: None) if json else print)
+    if json:
+        print_json(answer)
+
+
+@app.command()
+def build(
+    meshes: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="MESH... | ASSETS.toml | shape:NAME...", help="Meshes, one list of them, or built-in shapes."
+        ),
+    ] = None,
+    *,
+    out: OutFile,
+    units: Annotated[str | None, typer.Option(help="Unit of the meshes: m, cm, mm or in.")] = None,
+    size_mm: Annotated[float | None, typer.Option(help="Length of the longest side instead of a unit.")] = None,
+    close: Annotated[
+        bool, typer.Option("--close", help="Close an open or self-overlapping mesh instead of refusing it.")
+    ] = False,
+    error_mm: Annotated[float | None, typer.Option(help="Largest error of the sphere model.")] = None,
+    spheres: Annotated[int | None, typer.Option(help="Number of leaf spheres instead of an error.")] = None,
+    mode: Annotated[
+        str, typer.Option(help="balanced: least error both ways; inside: nothing sticks out; outside: covers the mesh.")
+    ] = "balanced",
+    hand: Annotated[Path | None, typer.Option(help="Hand as TOML; the default hand if left out.")] = None,
+    spheres_csv: Annotated[
+        Path | None, typer.Option(help="Leaf spheres x, y, z, radius as they are, of the one mesh given.")
+    ] = None,
+    csv_units: Annotated[str, typer.Option(help="Unit of the spheres in the CSV.")] = "m",
+    seed: Seed = 0,
+    json: Json = False,
+) -> None:
+    """Meshes -> pack, with the error of each level."""
+    from palmar.show import print_build
+    from palmar.terminal import print_json, progress_bar
+    from palmar.tools.pack import build as build_pack
+
+    with progress_bar(not json) as progress:
+        answer = build_pack(
+            meshes or [],
+            out,
+            units=units,
+            size_mm=size_mm,
+            close=close,
+            error_mm=error_mm,
+            spheres=spheres,
+            mode=mode,
+            hand_path=hand,
+            spheres_csv=spheres_csv,
+            csv_units=csv_units,
+            seed=seed,
+            progress=progress,
+        )
+    print_json(answer) if json else print_build(answer)

@@ -1,0 +1,86 @@
+"""Verbs about what a device said: a log, a script, a file looked into, a file handed on."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from palmar.cli_app import LOSS, Json, Object, OutFile, OutFolder, Seed, app, complain, parse_pairs
+
+
+@app.command("import")
+def import_(
+    file: Annotated[Path, typer.Argument(help="Log of another device.")],
+    *,
+    out: OutFile,
+    form: Annotated[
+        str | None, typer.Option("--format", help="Name of the format; found from the file if left out.")
+    ] = None,
+    option: Annotated[
+        list[str] | None, typer.Option("--option", help="key=value for the format's reader; may be repeated.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Foreign log -> trace."""
+    from palmar.files import require_file, require_place
+    from palmar.terminal import print_fields, print_json
+    from palmar.traces.device import import_file
+
+    require_place(out)
+    answer = import_file(require_file(file), out, format=form, **parse_pairs("--option", option or []))
+    print_json(answer) if json else print_fields(answer)
+
+
+@app.command()
+def script(
+    scene: Annotated[str, typer.Argument(help="Name of a scene, such as grasp, or a TOML file.")],
+    pack: Annotated[Path, typer.Argument(help="Pack with the hand and the object.")],
+    *,
+    out: OutFile,
+    name: Object = "",
+    seed: Seed = 0,
+    json: Json = False,
+) -> None:
+    """Scene script -> trace, made to fit an object of a pack."""
+    from palmar.files import require_file, require_place
+    from palmar.terminal import print_fields, print_json
+    from palmar.traces.scripted import script as write_script
+
+    require_place(out)
+    answer = write_script(scene, require_file(pack), out, object=name or None, seed=seed)
+    print_json(answer) if json else print_fields(answer)
+
+
+@app.command()
+def show(file: Annotated[Path, typer.Argument(help="Pack, trace or run.")], json: Json = False) -> int:
+    """What is in a pack, a trace or a run."""
+    from palmar.files import load_any, lost_line
+    from palmar.show import describe, print_description
+    from palmar.terminal import print_json
+
+    content = load_any(file)
+    description = describe(content)
+    print_json(description) if json else print_description(description)
+    damage = lost_line(file, getattr(content, "lost", {}))
+    return complain(damage, LOSS) if damage else 0
+
+
+@app.command()
+def export(
+    file: Annotated[Path, typer.Argument(help="Pack, trace or run.")],
+    *,
+    out: OutFolder,
+    name: Annotated[str, typer.Option("--object", help="One object of a pack; all if left out.")] = "",
+    level: Annotated[int | None, typer.Option(min=0, help="Level of the spheres; the leaves if left out.")] = None,
+    json: Json = False,
+) -> int:
+    """Spheres of a pack, poses of a run or samples of a trace as CSV, every number in full."""
+    from palmar.export import export_file
+    from palmar.files import load_any, lost_line, require_folder
+    from palmar.terminal import print_json
+
+    content = load_any(file)
+    written = [str(path) for path in export_file(content, file, require_folder(out), name, level)]
+    print_json({"written": written}) if json else print(*written, sep="\n")
+    damage = lost_line(file, getattr(content, "lost", {}))
+    return complain(damage, LOSS) if damage else 0
