@@ -10,10 +10,13 @@ from typing import Annotated
 
 import typer
 
-# Each of these adds its verbs to the application; in this order they stand in the help.
-from palmar import cli_make, cli_trace, cli_judge  # noqa: F401, I001
 from palmar.cli_app import app, complain, usage_line
 from palmar.errors import PalmarError
+
+# isort: off
+# Each of these adds its verbs to the application; in this order they stand in the help.
+from palmar import cli_make, cli_trace, cli_judge  # noqa: F401
+# isort: on
 
 BUG = 70
 STOPPED = 130
