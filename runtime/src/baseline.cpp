@@ -50,9 +50,9 @@ QpProblem towards(const HandModel& hand, const Configuration& q, const Configura
   QpProblem problem;
   const Change g = stiffness_diagonal(hand);
   problem.target = difference(haptic, q);
-  for (int v = 0; v < kVariables; ++v) problem.inverse_weight[v] = 1.0 / g[v];
+  for (int v = 0; v < kVariables; ++v) problem.metric.set_diagonal(v, 1.0 / g[v]);
   for (int f = 0; f < kFingers; ++f) {
-    problem.inverse_weight[kPalmVariables + kFingerVariables * f] = 0;
+    problem.metric.set_diagonal(kPalmVariables + kFingerVariables * f, 0);
     problem.target[kPalmVariables + kFingerVariables * f] = 0;
   }
   problem.bound.fill(kInfinity);
@@ -104,7 +104,7 @@ QpResult solve_least_violation(const Scene& scene, QpProblem problem, Workspace&
     rows.group_start[1] = 0;
     for (int f = 0; f < kFingers; ++f) {
       const int v = kPalmVariables + kFingerVariables * f;
-      problem.inverse_weight[v] = 1.0 / (kSlackStiffness * scene.hand.palm_stiffness);
+      problem.metric.set_diagonal(v, 1.0 / (kSlackStiffness * scene.hand.palm_stiffness));
       problem.lower[v] = -kInfinity;
       problem.upper[v] = kInfinity;
     }

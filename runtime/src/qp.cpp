@@ -14,9 +14,10 @@ constexpr int kRowVariables = kPalmVariables + kFingerVariables;
 
 struct ActiveRow {
   double g[kRowVariables];
+  double h[kRowVariables];  // M g
   int finger;
   double b;
-  std::int32_t row;  // index of a row, or -1 - (2 variable + side) for a bound
+  std::int32_t row;  // as in QpResult
 };
 
 // violation[i] = b[i] - g[i] . x for rows of one group.
@@ -45,17 +46,27 @@ struct Solver {
   double l[kVariables][kVariables];  // its Cholesky factor
   std::array<double, kVariables> u;  // multipliers
 
-  const double* weight_of(int finger) const {
-    return &problem.inverse_weight[kPalmVariables + kFingerVariables * finger];
+  // Fills p.h from p.g.
+  void transform(ActiveRow& p) const {
+    const Metric& m = problem.metric;
+    for (int i = 0; i < kPalmVariables; ++i) {
+      p.h[i] = 0;
+      for (int k = 0; k <= i; ++k) p.h[i] += m.palm[i][k] * p.g[k];
+    }
+    double* const finger = p.h + kPalmVariables;
+    std::fill_n(finger, kFingerVariables, 0.0);
+    if (p.finger < 0) return;
+    const double* const g = p.g + kPalmVariables;
+    for (int k = 0; k < kFingerVariables; ++k) {
+      for (int i = 0; i < kPalmVariables; ++i) p.h[i] += m.across[p.finger][i][k] * g[k];
+      for (int i = k; i < kFingerVariables; ++i) finger[i] += m.finger[p.finger][i][k] * g[k];
+    }
   }
 
   double product(const ActiveRow& p, const ActiveRow& q) const {
+    const int variables = p.finger >= 0 && p.finger == q.finger ? kRowVariables : kPalmVariables;
     double sum = 0;
-    for (int k = 0; k < kPalmVariables; ++k) sum += p.g[k] * q.g[k] * problem.inverse_weight[k];
-    if (p.finger >= 0 && p.finger == q.finger) {
-      const double* w = weight_of(p.finger);
-      for (int k = 0; k < kFingerVariables; ++k) sum += p.g[kPalmVariables + k] * q.g[kPalmVariables + k] * w[k];
-    }
+    for (int k = 0; k < variables; ++k) sum += p.h[k] * q.h[k];
     return sum;
   }
 
@@ -68,18 +79,20 @@ struct Solver {
     return sum;
   }
 
+  // z += by M p
+  static void add(const ActiveRow& p, double by, Change& z) {
+    for (int k = 0; k < kPalmVariables; ++k) z[k] += by * p.h[k];
+    if (p.finger < 0) return;
+    double* const finger = &z[kPalmVariables + kFingerVariables * p.finger];
+    for (int k = 0; k < kFingerVariables; ++k) finger[k] += by * p.h[kPalmVariables + k];
+  }
+
   // x += t H^-1 (n - A' r)
   void move(Change& x, const ActiveRow& n, const double* r, double t) const {
     Change z{};
-    const auto add = [&](const ActiveRow& p, double by) {
-      for (int k = 0; k < kPalmVariables; ++k) z[k] += by * p.g[k];
-      if (p.finger >= 0)
-        for (int k = 0; k < kFingerVariables; ++k)
-          z[kPalmVariables + kFingerVariables * p.finger + k] += by * p.g[kPalmVariables + k];
-    };
-    add(n, 1.0);
-    for (int j = 0; j < count; ++j) add(active[j], -r[j]);
-    for (int v = 0; v < kVariables; ++v) x[v] += t * problem.inverse_weight[v] * z[v];
+    add(n, t, z);
+    for (int j = 0; j < count; ++j) add(active[j], -t * r[j], z);
+    problem.metric.add_transposed(z, x);
   }
 
   // x from the multipliers alone, then multipliers from what the active rows still lack: two rounds of refinement.
@@ -87,14 +100,9 @@ struct Solver {
   void refine(Change& x) {
     for (int round = 0; round < 3; ++round) {
       Change z{};
-      for (int j = 0; j < count; ++j) {
-        const ActiveRow& p = active[j];
-        for (int k = 0; k < kPalmVariables; ++k) z[k] += u[j] * p.g[k];
-        if (p.finger >= 0)
-          for (int k = 0; k < kFingerVariables; ++k)
-            z[kPalmVariables + kFingerVariables * p.finger + k] += u[j] * p.g[kPalmVariables + k];
-      }
-      for (int v = 0; v < kVariables; ++v) x[v] = problem.target[v] + problem.inverse_weight[v] * z[v];
+      for (int j = 0; j < count; ++j) add(active[j], u[j], z);
+      x = problem.target;
+      problem.metric.add_transposed(z, x);
       if (round == 2) break;
       double w[kVariables];
       for (int j = 0; j < count; ++j) {
@@ -137,6 +145,7 @@ struct Solver {
     p.finger = finger;
     p.b = rows.b[i];
     p.row = i;
+    transform(p);
     return p;
   }
 
@@ -147,6 +156,7 @@ struct Solver {
     p.g[k] = upper ? -1.0 : 1.0;
     p.b = upper ? -upper_of(v) : lower_of(v);
     p.row = -1 - (2 * v + (upper ? 1 : 0));
+    transform(p);
     return p;
   }
 
@@ -210,7 +220,7 @@ QpResult solve_qp(const QpProblem& problem, const QpRows& rows, double tolerance
     result.status = status;
     result.active = solver.count;
     for (int j = 0; j < solver.count; ++j) {
-      result.active_row[j] = solver.active[j].row >= 0 ? solver.active[j].row : -1;
+      result.active_row[j] = solver.active[j].row;
       result.multiplier[j] = solver.u[j];
     }
     return result;

@@ -3,14 +3,20 @@
 #include <algorithm>
 #include <limits>
 
+#include "curvature.h"
+
 namespace palmar {
 
 namespace {
 
-constexpr int kRowRounds = 8;      // programmes in a round, each with the rows that the last one lacked,
-constexpr int kRowsMore = 4;       // at most so many for each link
-constexpr double kRowNear = 3e-5;  // metres: a pair this near gets a row before it is asked for
-constexpr int kAttempts = 3;       // trial poses along one direction: all of it, a quarter, a sixteenth
+constexpr int kRowRounds = 8;             // programmes in a round, each with the rows that the last one lacked,
+constexpr int kRowsMore = 4;              // at most so many for each link
+constexpr double kRowNear = 3e-5;         // metres: a pair this near gets a row before it is asked for
+constexpr double kLeastPivot = 0.01;      // of the stiffness that curvature has to leave
+constexpr double kBend = 0.015;           // metres: with curvature, a move by m leaves about m^2 / kBend to go,
+constexpr double kWithout = 0.1;          // without it about this share of m
+constexpr double kAcross[] = {1e3, 3e4};  // times the springs' stiffness across a contact, added in turn
+constexpr int kAttempts = 3;              // trial poses along one direction: all of it, a quarter, a sixteenth
 
 double cost(const Change& weight, const Change& d) {
   double sum = 0;
@@ -53,6 +59,12 @@ Change programme_weights(const HandModel& hand, const Settings& settings) {
     for (int j = 0; j < kPhalanges; ++j) w[v + 1 + j] = hand.finger[f].stiffness[j];
   }
   return w;
+}
+
+Metric metric_of(const Change& weight) {
+  Metric metric;
+  for (int v = 0; v < kVariables; ++v) metric.set_diagonal(v, 1.0 / weight[v]);
+  return metric;
 }
 
 AngleRates angle_rates(const Configuration& haptic, const Configuration& before, double least) {
@@ -104,17 +116,52 @@ void Round::joint_room(const Configuration& q, Change& lower, Change& upper) con
   }
 }
 
+// The second derivatives of the Lagrangian: the springs' stiffness less what the contacts' curvature, each with the
+// force that it last carried, takes from it. Convex is asked only along the contacts: across them and at joint limits,
+// where rows and bounds hold the answer anyway, stiffness is added, many times the springs' own. False where that does
+// not do either: there the hand is about to slip off.
+bool Round::bent_metric(const Change& way, Metric& metric) const {
+  if (state.pressing_count == 0) return false;
+  ArrowMatrix bent = ArrowMatrix::diagonal(weight);
+  std::array<GapShape, kVariables> shape;
+  std::array<double, kVariables> stiffness;  // of the springs across each contact
+  for (int k = 0; k < state.pressing_count; ++k) {
+    const Pressing& p = state.pressing[k];
+    shape[k] = gap_shape(scene.hand, state.placement, p.link, p.palm_sphere, scene.object.leaves[p.object_sphere]);
+    stiffness[k] = bend_along(weight, shape[k]);
+    add_shape(shape[k], -p.multiplier, 0.0, bent);
+  }
+  // The energy of a turn by the vector w from the haptic hand, 1/2 k |w|^2, is flatter across w than along it.
+  const Vec3 turn(way[3], way[4], way[5]);
+  const double angle = turn.norm();
+  if (angle > 1e-6) {
+    const Vec3 axis = turn / angle;
+    const double flat = weight[3] * (1.0 - 0.5 * angle / std::tan(0.5 * angle));
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) bent.palm[3 + i][3 + j] -= flat * ((i == j) - axis[i] * axis[j]);
+  }
+  Change least;
+  for (int v = 0; v < kVariables; ++v) least[v] = kLeastPivot * weight[v];
+  for (const double more : kAcross) {
+    for (int k = 0; k < state.pressing_count; ++k) add_shape(shape[k], 0.0, more * stiffness[k], bent);
+    for (int v = 0; v < kVariables; ++v)
+      if (state.at_limit >> v & 1) bent.add_diagonal(v, more * weight[v]);
+    if (Metric::of(bent, least, metric)) return true;
+  }
+  return false;
+}
+
 // The programme at a pose: towards `wish`, no variable carrying a link farther than it is allowed, with a row for
 // each pair within `near` of its link or named in work.wanted.
-QpResult Round::programme(const HandPlacement& at, const Configuration& q, const double* gap, const Change& wish,
-                          const PerLink& allowed, const PerLink& near, bool push_out) {
+QpResult Round::programme(const HandPlacement& at, const Configuration& q, const double* gap, const Metric& metric,
+                          const Change& wish, const PerLink& allowed, const PerLink& near, bool push_out) {
   const auto start = Clock::now();
   const Settings& s = scene.settings;
   // Rows that do not fit are left out: whether they were needed is seen at the trial pose.
   linearise(scene.hand, work.candidates, at, gap, near, work.wanted.data(), s.aim_m, push_out, work.rows,
             work.row_candidate.data());
   QpProblem problem;
-  for (int v = 0; v < kVariables; ++v) problem.inverse_weight[v] = 1.0 / weight[v];
+  problem.metric = metric;
   problem.target = wish;
   problem.bound = variable_bounds(scene.hand, allowed);
   joint_room(q, problem.lower, problem.upper);
@@ -159,7 +206,8 @@ bool Round::restore(const PerLink& allowed) {
   for (int k = 0; k < scene.settings.corrections && trial_least < 0 && trial_known; ++k) {
     const Configuration here = trial;
     want_more_rows();
-    const QpResult result = programme(trial_placement, here, work.trial_gap.data(), Change{}, allowed, near, true);
+    const QpResult result =
+        programme(trial_placement, here, work.trial_gap.data(), springs, Change{}, allowed, near, true);
     if (result.status != QpStatus::solved) return false;
     if (verify(moved(here, result.x, 1.0))) return true;
   }
@@ -178,11 +226,32 @@ Configuration Round::moved(const Configuration& q, const Change& change, double 
   return to;
 }
 
-void Round::remember_active(const QpResult& result) {
+bool Round::remember_active(const QpResult& result) {
   work.active_count = 0;
-  for (int j = 0; j < result.active; ++j)
-    if (result.active_row[j] >= 0)
-      work.active[work.active_count++] = {work.row_candidate[result.active_row[j]], result.multiplier[j]};
+  state.at_limit = 0;
+  for (int j = 0; j < result.active; ++j) {
+    const int row = result.active_row[j];
+    if (row >= 0) {
+      work.active[work.active_count++] = {work.row_candidate[row], result.multiplier[j]};
+      continue;
+    }
+    const int variable = (-1 - row) / 2;
+    if (std::abs(result.x[variable]) < 1e-12) state.at_limit |= 1u << variable;
+  }
+  const auto before = state.pressing;
+  const int count_before = state.pressing_count;
+  bool known = true;
+  state.pressing_count = work.active_count;
+  for (int k = 0; k < work.active_count; ++k) {
+    const int pair = work.active[k].candidate;
+    const Pressing now{work.candidates.link_of(pair), work.candidates.object_sphere[pair],
+                       work.candidates.palm_sphere[pair], work.active[k].multiplier};
+    state.pressing[k] = now;
+    known &= std::any_of(before.begin(), before.begin() + count_before, [&](const Pressing& p) {
+      return p.link == now.link && p.object_sphere == now.object_sphere && p.palm_sphere == now.palm_sphere;
+    });
+  }
+  return known;
 }
 
 void Round::publish() {
@@ -232,51 +301,72 @@ RoundEnd Round::run() {
     return good;
   };
 
-  Change step = way;
-  double fraction = 1.0;
-  bool good = false;
+  // Along a programme's answer, or a quarter or a sixteenth of it, to a verified pose that costs less.
+  const auto advance_along = [&](const Change& step, double fraction, bool good, bool with_curvature) {
+    for (int attempt = 0; attempt < kAttempts; ++attempt) {
+      const double from_start = largest_motion(scene.hand, start_placement, trial_placement);
+      if (touching && from_start < scene.settings.settled_m) {
+        end.failed = false;
+        return true;
+      }
+      if (!good) good = restore(allowed);
+      if (good && cost(weight, difference(haptic, trial)) < start_cost) {
+        end.motion = largest_motion(scene.hand, start_placement, trial_placement);
+        end.left = end.motion * (fraction < 1 ? 1 : with_curvature ? end.motion / kBend : kWithout);
+        end.moved = end.motion > (touching ? scene.settings.settled_m : 0.0);
+        end.failed = false;
+        if (end.moved) publish();
+        return true;
+      }
+      end.failed = !good;
+      if (attempt + 1 == kAttempts) break;
+      // A quarter of the way has a sixteenth of the error.
+      fraction *= 0.25;
+      good = verify_within(moved(start, step, fraction), step, fraction);
+    }
+    return false;
+  };
+
   want_none();
-  if (touching) {
+  if (!touching) {
+    work.active_count = state.pressing_count = 0;
+    state.at_limit = 0;
+    Change lower, upper, step;
+    joint_room(start, lower, upper);
+    for (int v = 0; v < kVariables; ++v) step[v] = std::clamp(way[v], lower[v], upper[v]);
+    // With nothing in the way it is the haptic pose itself, so that a free hand is the haptic hand to the bit.
+    double fraction = 1.0;
+    const bool good = verify_within(step == way ? haptic : advance(start, step, 1.0), step, fraction);
+    advance_along(step, fraction, good, false);
+    return end;
+  }
+
+  Metric bent;
+  const bool bends = bent_metric(way, bent);
+  for (bool with_curvature : {true, false}) {
+    if (with_curvature && !bends) continue;
+    Change wish = way;
+    if (with_curvature) {
+      for (int v = 0; v < kVariables; ++v) wish[v] *= weight[v];
+      wish = bent.inverse_times(wish);
+    }
+    Change step;
+    double fraction = 1.0;
+    bool good = false, known = false;
     for (int k = 0; k < kRowRounds; ++k) {
-      const QpResult result = programme(start_placement, start, work.gap.data(), way, allowed, near, false);
+      const QpResult result = programme(start_placement, start, work.gap.data(), with_curvature ? bent : springs, wish,
+                                        allowed, near, false);
       if (result.status != QpStatus::solved) {
         end.failed = true;
         return end;
       }
       step = result.x;
       fraction = 1.0;
-      remember_active(result);
+      known = remember_active(result);
       good = verify_within(moved(start, step, 1.0), step, fraction);
       if (good || !want_more_rows()) break;
     }
-  } else {
-    work.active_count = 0;
-    Change lower, upper;
-    joint_room(start, lower, upper);
-    for (int v = 0; v < kVariables; ++v) step[v] = std::clamp(way[v], lower[v], upper[v]);
-    // With nothing in the way it is the haptic pose itself, so that a free hand is the haptic hand to the bit.
-    good = verify_within(step == way ? haptic : advance(start, step, 1.0), step, fraction);
-  }
-
-  for (int attempt = 0; attempt < kAttempts; ++attempt) {
-    const auto from_start = [&] { return largest_motion(scene.hand, start_placement, trial_placement); };
-    if (touching && from_start() < scene.settings.settled_m) {
-      end.failed = false;
-      return end;
-    }
-    if (!good) good = restore(allowed);
-    if (good && cost(weight, difference(haptic, trial)) < start_cost) {
-      end.motion = from_start();
-      end.moved = end.motion > (touching ? scene.settings.settled_m : 0.0);
-      end.failed = false;
-      if (end.moved) publish();
-      return end;
-    }
-    end.failed = !good;
-    if (attempt + 1 == kAttempts) break;
-    // A quarter of the way has a sixteenth of the error.
-    fraction *= 0.25;
-    good = verify_within(moved(start, step, fraction), step, fraction);
+    if (advance_along(step, fraction, good, with_curvature && known)) break;
   }
   return end;
 }

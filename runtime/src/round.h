@@ -9,6 +9,7 @@ namespace palmar {
 struct RoundEnd {
   bool moved = false;
   double motion = 0;
+  double left = 0;  // an estimate of how far it still is to the best pose, metres
   std::array<bool, kLinks> cut{};
   bool any_cut = false;
   bool failed = false;  // there was somewhere to go, and no pose on the way could be verified
@@ -21,6 +22,7 @@ AngleRates angle_rates(const Configuration& haptic, const Configuration& before,
 
 // The springs' stiffness, weighed by the settings' priorities.
 Change programme_weights(const HandModel& hand, const Settings& settings);
+Metric metric_of(const Change& weight);
 
 // One step's attempts to better the pose: what its rounds share.
 struct Round {
@@ -29,6 +31,7 @@ struct Round {
   SolverState& state;
   Workspace& work;
   Change weight;
+  Metric springs;       // of the weights alone
   Configuration begin;  // of the step
   AngleRates rate;
 
@@ -43,13 +46,15 @@ struct Round {
   bool verify(const Configuration& q);
   double excess(const HandPlacement& from, const HandPlacement& to, const PerLink& allowed) const;
   void joint_room(const Configuration& q, Change& lower, Change& upper) const;
-  QpResult programme(const HandPlacement& at, const Configuration& q, const double* gap, const Change& wish,
-                     const PerLink& allowed, const PerLink& near, bool push_out);
+  bool bent_metric(const Change& way, Metric& metric) const;
+  QpResult programme(const HandPlacement& at, const Configuration& q, const double* gap, const Metric& metric,
+                     const Change& wish, const PerLink& allowed, const PerLink& near, bool push_out);
   bool want_more_rows();
   void want_none();
   bool restore(const PerLink& allowed);
   Configuration moved(const Configuration& q, const Change& change, double share) const;
-  void remember_active(const QpResult& result);
+  // Whether the contacts that press now are among those whose curvature the programme knew.
+  bool remember_active(const QpResult& result);
   void publish();
 };
 

@@ -33,6 +33,17 @@ bool usable_place(const std::array<double, 3>& p) {
   return std::abs(p[0]) <= 1e3 && std::abs(p[1]) <= 1e3 && std::abs(p[2]) <= 1e3;
 }
 
+bool nearly_same(const Configuration& a, const Configuration& b) {
+  constexpr double kRounding = 1e-12;  // metres, rad: a thousand times what a frame some metres away adds
+  double most = std::max((a.position - b.position).cwiseAbs().maxCoeff(),
+                         (a.rotation.coeffs() - b.rotation.coeffs()).cwiseAbs().maxCoeff());
+  for (int f = 0; f < kFingers; ++f) {
+    most = std::max(most, std::abs(a.abduction[f] - b.abduction[f]));
+    for (int j = 0; j < kPhalanges; ++j) most = std::max(most, std::abs(a.flexion[f][j] - b.flexion[f][j]));
+  }
+  return most <= kRounding;
+}
+
 // FNV-1a over raw bytes.
 void mix(std::uint64_t& hash, const void* bytes, std::size_t size) {
   const unsigned char* b = static_cast<const unsigned char*>(bytes);
@@ -143,8 +154,10 @@ const StepResult& Session::step(const Sample& sample) {
     q.position = object_rotation.conjugate() * (q.position - to_vec3(placed_.position_m));
     q.rotation = (object_rotation.conjugate() * q.rotation).normalized();
     bool clipped;
-    haptic_ = inside_limits(q, clipped);
+    q = inside_limits(q, clipped);
     if (clipped) status |= kLimit;
+    // Where hand and object are carried along together, only the rounding of their frames changes.
+    if (!state_.started || !nearly_same(q, haptic_)) haptic_ = q;
     if (!state_.started) {
       state_.haptic = haptic_;
       if (start_at(haptic_)) {
@@ -268,6 +281,14 @@ std::uint64_t Session::hash_state() const {
   mix(hash, &gain_, sizeof gain_);
   mix(hash, state_.reach.data(), sizeof state_.reach);
   mix(hash, state_.velocity.data(), sizeof state_.velocity);
+  for (int k = 0; k < state_.pressing_count; ++k) {
+    const Pressing& p = state_.pressing[k];
+    mix(hash, &p.link, sizeof p.link);
+    mix(hash, &p.object_sphere, sizeof p.object_sphere);
+    mix(hash, &p.palm_sphere, sizeof p.palm_sphere);
+    mix(hash, &p.multiplier, sizeof p.multiplier);
+  }
+  mix(hash, &state_.at_limit, sizeof state_.at_limit);
   mix(hash, state_.haptic.abduction.data(), sizeof state_.haptic.abduction);
   mix(hash, state_.haptic.flexion.data(), sizeof state_.haptic.flexion);
   return hash;

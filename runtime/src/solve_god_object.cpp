@@ -109,7 +109,7 @@ std::uint32_t solve_god_object(const Scene& scene, const Configuration& haptic, 
     }
     QpProblem problem = towards(hand, q, haptic);
     problem.target = difference(haptic, q);
-    for (int v = 0; v < kVariables; ++v) problem.inverse_weight[v] = 1.0 / stiffness[v];
+    for (int v = 0; v < kVariables; ++v) problem.metric.set_diagonal(v, 1.0 / stiffness[v]);
     const QpResult result = constrained_motion(scene, problem, at, work);
     work.active_count = 0;
     remember_active(scene, result, work);

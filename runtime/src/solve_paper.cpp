@@ -92,7 +92,7 @@ void finger_rows(const HandPlacement& at, int f, Workspace& work) {
 QpProblem part_of(QpProblem problem, int first, int count) {
   for (int v = 0; v < kVariables; ++v) {
     if (v >= first && v < first + count) continue;
-    problem.inverse_weight[v] = 0;
+    problem.metric.set_diagonal(v, 0);
     problem.target[v] = 0;
   }
   return problem;

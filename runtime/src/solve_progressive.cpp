@@ -21,6 +21,7 @@ namespace {
 constexpr double kAhead = 2.0;       // a list looks farther than the step needs: by this share of it,
 constexpr double kAheadMost = 1e-3;  // and at most by this, metres
 constexpr double kDense = 400;       // pairs of one link
+constexpr double kLeft = 1e-6;       // metres; a step is done where no more than this is left to go
 
 bool same(const Configuration& a, const Configuration& b) {
   return a.position == b.position && a.rotation.coeffs() == b.rotation.coeffs() && a.abduction == b.abduction &&
@@ -81,13 +82,11 @@ bool has_yielded(const Round& r) {
 std::uint32_t solve_progressive(const Scene& scene, const Configuration& haptic, SolverState& state, Workspace& work) {
   const Settings& s = scene.settings;
   if (state.resting && same(haptic, state.haptic)) return state.status;
-  Round round{scene,
-              haptic,
-              state,
-              work,
-              programme_weights(scene.hand, s),
-              state.graphic,
-              angle_rates(haptic, state.haptic, s.joint_step_rad)};
+  const Change weight = programme_weights(scene.hand, s);
+  Round round{scene,         haptic,
+              state,         work,
+              weight,        metric_of(weight),
+              state.graphic, angle_rates(haptic, state.haptic, s.joint_step_rad)};
   const bool held = same(haptic, state.haptic);
   state.haptic = haptic;
   state.resting = false;
@@ -106,8 +105,7 @@ std::uint32_t solve_progressive(const Scene& scene, const Configuration& haptic,
       for (int link = 0; link < kLinks; ++link)
         moved_most[link] = std::max(moved_most[link], link_motion(scene.hand, before, state.placement, link));
     failed |= end.failed;
-    converged =
-        !end.any_cut && !end.failed && end.motion < 5e-6;  // metres; what is left moves less than a tenth of this
+    converged = !end.any_cut && !end.failed && end.left < kLeft;
     if (converged || end.failed || k + 1 == s.iterations) break;
     // Look farther where a list stopped its link, farther still where nothing is near.
     for (int link = 0; link < kLinks; ++link) {

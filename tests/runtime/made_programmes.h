@@ -14,6 +14,7 @@ namespace palmar::made {
 
 struct Programme {
   QpProblem problem;
+  Change inverse_weight;  // of the metric
   QpRows rows{4000};
   std::vector<int> finger;  // of each row
 };
@@ -37,7 +38,7 @@ inline Row random_row(std::mt19937& rng) {
 
 inline Programme blank(std::mt19937& rng) {
   Programme p;
-  p.problem.inverse_weight.fill(1.0);
+  p.inverse_weight.fill(1.0);
   p.problem.bound.fill(1e9);
   p.problem.lower.fill(-1e9);
   p.problem.upper.fill(1e9);
@@ -66,7 +67,7 @@ inline double row_value(const Programme& p, int row, const Change& x) {
 // Rows that zero satisfies, as in a step; weights over six decades; bounds that bite in a third.
 inline Programme random_programme(std::mt19937& rng, int trial) {
   Programme p = blank(rng);
-  for (double& w : p.problem.inverse_weight) w = std::pow(10.0, 3 * signed_unit(rng));
+  for (double& w : p.inverse_weight) w = std::pow(10.0, 3 * signed_unit(rng));
   p.problem.bound.fill(trial % 3 == 0 ? 0.3 : 1e9);
   for (int f = -1; f < kFingers; ++f)
     for (int i = 0; i < 12; ++i) add(p, f, random_row(rng), -0.2 * std::abs(signed_unit(rng)));
@@ -76,7 +77,7 @@ inline Programme random_programme(std::mt19937& rng, int trial) {
 // Weights 1 to 10^6 and nothing else that is hard (C7).
 inline Programme spread_weights(std::mt19937& rng, int trial) {
   Programme p = blank(rng);
-  for (double& w : p.problem.inverse_weight) w = (trial + rng()) % 2 ? 1.0 : 1e-6;
+  for (double& w : p.inverse_weight) w = (trial + rng()) % 2 ? 1.0 : 1e-6;
   for (int f = -1; f < kFingers; ++f)
     for (int i = 0; i < 6; ++i) add(p, f, random_row(rng), -0.2 * std::abs(signed_unit(rng)));
   return p;
@@ -200,7 +201,7 @@ inline Programme of_a_hand(std::mt19937& rng, int trial) {
     for (int f = -1; f < kFingers; ++f) p.finger.resize(std::size_t(p.rows.group_start[f + 2]), f);
     for (int v = 0; v < kVariables; ++v) {
       const bool palm = v < kPalmVariables, abduction = !palm && (v - kPalmVariables) % kFingerVariables == 0;
-      p.problem.inverse_weight[v] = palm ? 1e-6 : abduction ? 2e-5 : 2.0;
+      p.inverse_weight[v] = palm ? 1e-6 : abduction ? 2e-5 : 2.0;
       p.problem.target[v] *= v < 3 ? 0.02 : 0.5;
       p.problem.bound[v] = v < 3 ? margin : margin / 0.1;
     }

@@ -15,7 +15,9 @@ constexpr double kTolerance = 1e-9;  // metres, of a row
 
 QpResult solve(const Programme& p, int limit = 2000) {
   std::vector<double> scratch(4000);
-  return solve_qp(p.problem, p.rows, kTolerance, limit, scratch.data());
+  QpProblem problem = p.problem;
+  problem.metric = Metric::diagonal(p.inverse_weight);
+  return solve_qp(problem, p.rows, kTolerance, limit, scratch.data());
 }
 
 bool feasible(const Programme& p, const Change& x) {
@@ -32,7 +34,7 @@ bool feasible(const Programme& p, const Change& x) {
 // What is left of H (x - target) = A' u on the variables that no bound holds, over the largest pull of any.
 double stationarity(const Programme& p, const QpResult& r) {
   Change pull;
-  for (int v = 0; v < kVariables; ++v) pull[v] = (r.x[v] - p.problem.target[v]) / p.problem.inverse_weight[v];
+  for (int v = 0; v < kVariables; ++v) pull[v] = (r.x[v] - p.problem.target[v]) / p.inverse_weight[v];
   double largest = 1, worst = 0;
   for (double x : pull) largest = std::max(largest, std::abs(x));
   for (int j = 0; j < r.active; ++j) {
@@ -79,7 +81,7 @@ nlohmann::json line(const char* family, const Programme& p, const QpResult& r) {
                        : r.status == QpStatus::infeasible ? "infeasible"
                                                           : "limit";
   return {{"family", family},
-          {"inverse_weight", p.problem.inverse_weight},
+          {"inverse_weight", p.inverse_weight},
           {"target", p.problem.target},
           {"low", low},
           {"high", high},

@@ -1,0 +1,109 @@
+#include "curvature.h"
+
+#include "gap.h"
+
+namespace palmar {
+
+namespace {
+
+constexpr int kOfLink = kPalmVariables + kFingerVariables;
+
+// One variable of a pose: it turns what comes after it about an axis, and carries the sphere's centre, as if that hung
+// on the link, along `way`.
+struct Motion {
+  Vec3 turn, way;
+};
+
+}  // namespace
+
+// Seen from the link, a change x moves the sphere's centre o to y(x) = o - sum way_v x_v + ..., with the second
+// derivatives turn_b x way_a for a variable a that comes before b in the chain palm, abduction, flexions. The gap is
+// the distance of y from a surface of balls, so
+//   d2 gap / da db = way_a' D way_b - n . (turn_b x way_a),
+// D = (I - n n' - e e') / |o - axis|, n from the centre to the axis point, e along the side where it is straight.
+GapShape gap_shape(const HandModel& hand, const HandPlacement& at, int link, std::uint32_t palm_sphere,
+                   const Sphere& sphere) {
+  const Vec3& o = sphere.center;
+  Motion motion[kOfLink];
+  for (int k = 0; k < 3; ++k) {
+    const Vec3 axis = Vec3::Unit(k);
+    motion[k] = {Vec3::Zero(), axis};
+    motion[3 + k] = {axis, axis.cross(o - at.position)};
+  }
+  int count = kPalmVariables;
+  Vec3 away, straight = Vec3::Zero();
+  const int finger = (link - 1) / kPhalanges, phalanx = (link - 1) % kPhalanges;
+  if (link == 0) {
+    away = at.rotation * hand.palm[palm_sphere].center + at.position - o;
+  } else {
+    const Capsule& c = at.phalanx[link - 1];
+    const Vec3 axis_point = capsule_sphere_gap(c, o, sphere.radius).axis, along = c.c2 - c.c1;
+    away = axis_point - o;
+    // On the side, not on one of the two balls at the ends.
+    if (axis_point != c.c1 && (axis_point - c.c1).squaredNorm() < (1 - 1e-12) * along.squaredNorm()) straight = along;
+    const auto add = [&](const Vec3& axis, const Vec3& joint) { motion[count++] = {axis, axis.cross(o - joint)}; };
+    add(at.abduction_axis[finger], at.joint[finger][0]);
+    for (int j = 0; j <= phalanx; ++j) add(at.flexion_axis[finger][j], at.joint[finger][j]);
+  }
+  GapShape shape;
+  shape.finger = link == 0 ? -1 : finger;
+  shape.count = count;
+  const double distance = away.norm();
+  const Vec3 n = distance > 0 ? Vec3(away / distance) : Vec3(0, 0, 1);
+  straight -= straight.dot(n) * n;
+  const double length = straight.norm();
+  if (length > 0) straight /= length;
+  const double flat = distance > 0 ? 1 / distance : 0.0;
+
+  for (int a = 0; a < count; ++a) {
+    const Vec3& way = motion[a].way;
+    shape.slope[a] = way.dot(n);
+    const Vec3 across = flat * (way - shape.slope[a] * n - way.dot(straight) * straight);
+    const Vec3 turning = way.cross(n);  // n . (turn_b x way_a) = turn_b . (way_a x n)
+    for (int b = a; b < count; ++b) {
+      double second = across.dot(motion[b].way) - motion[b].turn.dot(turning);
+      // The palm turns about one vector, not about three axes one after the other.
+      if (a >= 3 && b < kPalmVariables && b > a)
+        second += 0.5 * (motion[b].turn.dot(turning) - motion[a].turn.dot(motion[b].way.cross(n)));
+      shape.bend[a][b] = second;
+    }
+  }
+  return shape;
+}
+
+double bend_along(const Change& weight, GapShape& s) {
+  double across[kOfLink], bent[kOfLink], yield = 0, own = 0;
+  for (int a = 0; a < s.count; ++a) {
+    across[a] = s.slope[a] / weight[a < kPalmVariables ? a : a + kFingerVariables * s.finger];
+    yield += across[a] * s.slope[a];
+  }
+  for (int a = 0; a < s.count; ++a) across[a] /= yield;
+  for (int a = 0; a < s.count; ++a) {
+    bent[a] = 0;
+    for (int b = 0; b < s.count; ++b) bent[a] += (a <= b ? s.bend[a][b] : s.bend[b][a]) * across[b];
+    own += bent[a] * across[a];
+  }
+  for (int a = 0; a < s.count; ++a)
+    for (int b = a; b < s.count; ++b)
+      s.bend[a][b] += own * s.slope[a] * s.slope[b] - s.slope[a] * bent[b] - bent[a] * s.slope[b];
+  return 1 / yield;
+}
+
+void add_shape(const GapShape& s, double bend_factor, double slope_factor, ArrowMatrix& h) {
+  for (int a = 0; a < s.count; ++a) {
+    for (int b = a; b < s.count; ++b) {
+      const double value = bend_factor * s.bend[a][b] + slope_factor * s.slope[a] * s.slope[b];
+      if (b < kPalmVariables) {
+        h.palm[a][b] += value;
+        if (b > a) h.palm[b][a] += value;
+      } else if (a < kPalmVariables) {
+        h.across[s.finger][a][b - kPalmVariables] += value;
+      } else {
+        h.finger[s.finger][a - kPalmVariables][b - kPalmVariables] += value;
+        if (b > a) h.finger[s.finger][b - kPalmVariables][a - kPalmVariables] += value;
+      }
+    }
+  }
+}
+
+}  // namespace palmar
