@@ -14,7 +14,8 @@ namespace palmar::made {
 
 struct Programme {
   QpProblem problem;
-  Change inverse_weight;  // of the metric
+  Change inverse_weight;  // the inverse of the objective's diagonal,
+  ArrowMatrix bend;       // and what its matrix is besides
   QpRows rows{4000};
   std::vector<int> finger;  // of each row
 };
@@ -72,6 +73,36 @@ inline Programme random_programme(std::mt19937& rng, int trial) {
   for (int f = -1; f < kFingers; ++f)
     for (int i = 0; i < 12; ++i) add(p, f, random_row(rng), -0.2 * std::abs(signed_unit(rng)));
   return p;
+}
+
+// As random_programme, with an objective that joins palm and fingers: half convex, half barely.
+inline Programme bent_objective(std::mt19937& rng, int trial) {
+  Programme p = random_programme(rng, trial);
+  for (double& w : p.inverse_weight) w = std::pow(10.0, signed_unit(rng));
+  for (int n = 0; n < 12; ++n) {
+    const int f = int(rng() % kFingers);
+    const Row g = random_row(rng);
+    const double by = trial % 2 ? 3.0 : 30.0;
+    for (int a = 0; a < kPalmVariables; ++a) {
+      for (int b = 0; b < kPalmVariables; ++b) p.bend.palm[a][b] += by * g[a] * g[b];
+      for (int b = 0; b < kFingerVariables; ++b) p.bend.across[f][a][b] += by * g[a] * g[kPalmVariables + b];
+    }
+    for (int a = 0; a < kFingerVariables; ++a)
+      for (int b = 0; b < kFingerVariables; ++b)
+        p.bend.finger[f][a][b] += by * g[kPalmVariables + a] * g[kPalmVariables + b];
+  }
+  return p;
+}
+
+// The objective's matrix, entry by entry.
+inline double stiffness(const Programme& p, int a, int b) {
+  if (a > b) std::swap(a, b);
+  const auto finger = [](int v) { return (v - kPalmVariables) / kFingerVariables; };
+  const auto own = [](int v) { return (v - kPalmVariables) % kFingerVariables; };
+  const double diagonal = a == b ? 1.0 / p.inverse_weight[a] : 0.0;
+  if (b < kPalmVariables) return diagonal + p.bend.palm[a][b];
+  if (a < kPalmVariables) return p.bend.across[finger(b)][a][own(b)];
+  return finger(a) == finger(b) ? diagonal + p.bend.finger[finger(a)][own(a)][own(b)] : 0.0;
 }
 
 // Weights 1 to 10^6 and nothing else that is hard (C7).
@@ -212,6 +243,7 @@ inline Programme of_a_hand(std::mt19937& rng, int trial) {
 inline const std::vector<Family>& families() {
   static const std::vector<Family> all = {
       {"random", 300, true, random_programme},
+      {"bent objective", 200, true, bent_objective},
       {"duplicates", 50, true, duplicates},
       {"near parallel", 60, true, near_parallel},
       {"collapsed cone", 24, true, collapsed_cone},

@@ -16,7 +16,9 @@ constexpr double kTolerance = 1e-9;  // metres, of a row
 QpResult solve(const Programme& p, int limit = 2000) {
   std::vector<double> scratch(4000);
   QpProblem problem = p.problem;
-  problem.metric = Metric::diagonal(p.inverse_weight);
+  ArrowMatrix h = p.bend;
+  for (int v = 0; v < kVariables; ++v) h.add_diagonal(v, 1.0 / p.inverse_weight[v]);
+  CHECK(Metric::of(h, Change{}, problem.metric));
   return solve_qp(problem, p.rows, kTolerance, limit, scratch.data());
 }
 
@@ -34,7 +36,10 @@ bool feasible(const Programme& p, const Change& x) {
 // What is left of H (x - target) = A' u on the variables that no bound holds, over the largest pull of any.
 double stationarity(const Programme& p, const QpResult& r) {
   Change pull;
-  for (int v = 0; v < kVariables; ++v) pull[v] = (r.x[v] - p.problem.target[v]) / p.inverse_weight[v];
+  for (int v = 0; v < kVariables; ++v) {
+    pull[v] = 0;
+    for (int w = 0; w < kVariables; ++w) pull[v] += made::stiffness(p, v, w) * (r.x[w] - p.problem.target[w]);
+  }
   double largest = 1, worst = 0;
   for (double x : pull) largest = std::max(largest, std::abs(x));
   for (int j = 0; j < r.active; ++j) {
@@ -75,13 +80,16 @@ nlohmann::json line(const char* family, const Programme& p, const QpResult& r) {
     high[v] = std::min(p.problem.bound[v], p.problem.upper[v]);
     low[v] = std::max(-p.problem.bound[v], p.problem.lower[v]);
   }
+  std::vector<Change> stiffness(kVariables);
+  for (int v = 0; v < kVariables; ++v)
+    for (int w = 0; w < kVariables; ++w) stiffness[std::size_t(v)][std::size_t(w)] = made::stiffness(p, v, w);
   double multipliers = 0;
   for (int j = 0; j < r.active; ++j) multipliers += r.multiplier[j];
   const char* status = r.status == QpStatus::solved       ? "solved"
                        : r.status == QpStatus::infeasible ? "infeasible"
                                                           : "limit";
   return {{"family", family},
-          {"inverse_weight", p.inverse_weight},
+          {"stiffness", stiffness},
           {"target", p.problem.target},
           {"low", low},
           {"high", high},

@@ -23,23 +23,26 @@ def answers(program: Path) -> list[dict]:
 
 def daqp_answer(case: dict) -> tuple[np.ndarray | None, float]:
     """(x, sum of multipliers); x is None where DAQP says that there is none."""
-    # In y = x / sqrt(inverse_weight) the objective is 1/2 |y - y_target|^2: DAQP has no weights to lose digits over.
-    scale = np.sqrt(np.array(case["inverse_weight"]))
+    # In y = L' x with L L' the objective's matrix the objective is 1/2 |y - y_target|^2: no weights to lose digits over.
+    # The bounds become rows like the others.
+    root = np.linalg.cholesky(np.array(case["stiffness"])).T
     rows = np.array(case["rows"])
-    x, _, flag, info = daqp.solve(
-        np.eye(len(scale)),
-        -np.array(case["target"]) / scale,
-        rows[:, :-1] * scale,
-        np.concatenate([np.array(case["high"]) / scale, np.full(len(rows), 1e30)]),
-        np.concatenate([np.array(case["low"]) / scale, rows[:, -1]]),
+    everything = np.linalg.solve(root.T, np.vstack([np.eye(len(root)), rows[:, :-1]]).T).T
+    y, _, flag, info = daqp.solve(
+        np.eye(len(root)),
+        -root @ np.array(case["target"]),
+        np.ascontiguousarray(everything),
+        np.concatenate([np.array(case["high"]), np.full(len(rows), 1e30)]),
+        np.concatenate([np.array(case["low"]), rows[:, -1]]),
         primal_tol=TOLERANCE,
         iter_limit=10000,
     )
-    return (np.array(x) * scale if flag == 1 else None), float(np.abs(info["lam"]).sum())
+    return (np.linalg.solve(root, np.array(y)) if flag == 1 else None), float(np.abs(info["lam"]).sum())
 
 
 def cost(case: dict, x: np.ndarray) -> float:
-    return float(0.5 * np.sum((x - np.array(case["target"])) ** 2 / np.array(case["inverse_weight"])))
+    way = x - np.array(case["target"])
+    return float(0.5 * way @ np.array(case["stiffness"]) @ way)
 
 
 def compare(program: Path) -> dict[str, Counter]:
