@@ -121,7 +121,7 @@ void Round::joint_room(const Configuration& q, Change& lower, Change& upper) con
 // where rows and bounds hold the answer anyway, stiffness is added, many times the springs' own. False where that does
 // not do either: there the hand is about to slip off.
 bool Round::bent_metric(const Change& way, Metric& metric) const {
-  if (state.pressing_count == 0) return false;
+  if (state.pressing_count == 0 || scene.settings.curvature == 0) return false;
   ArrowMatrix bent = ArrowMatrix::diagonal(weight);
   std::array<GapShape, kVariables> shape;
   std::array<double, kVariables> stiffness;  // of the springs across each contact
@@ -129,7 +129,7 @@ bool Round::bent_metric(const Change& way, Metric& metric) const {
     const Pressing& p = state.pressing[k];
     shape[k] = gap_shape(scene.hand, state.placement, p.link, p.palm_sphere, scene.object.leaves[p.object_sphere]);
     stiffness[k] = bend_along(weight, shape[k]);
-    add_shape(shape[k], -p.multiplier, 0.0, bent);
+    add_shape(shape[k], -scene.settings.curvature * p.multiplier, 0.0, bent);
   }
   // The energy of a turn by the vector w from the haptic hand, 1/2 k |w|^2, is flatter across w than along it.
   const Vec3 turn(way[3], way[4], way[5]);

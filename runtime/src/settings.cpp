@@ -23,6 +23,7 @@ const std::vector<Key>& keys() {
       {"aim_m", &Settings::aim_m, 1e-9, 1e-3},
       {"candidates", &Settings::candidates, 64, 8192},
       {"corrections", &Settings::corrections, 0, 100},
+      {"curvature", &Settings::curvature, 0, 1},
       {"fade_s", &Settings::fade_s, 1e-3, 10},
       {"filter", &Settings::filter, 0, 0},
       {"filter_beta", &Settings::filter_beta, 0, 1000},
