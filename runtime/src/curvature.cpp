@@ -60,49 +60,27 @@ GapShape gap_shape(const HandModel& hand, const HandPlacement& at, int link, std
     shape.slope[a] = way.dot(n);
     const Vec3 across = flat * (way - shape.slope[a] * n - way.dot(straight) * straight);
     const Vec3 turning = way.cross(n);  // n . (turn_b x way_a) = turn_b . (way_a x n)
-    for (int b = a; b < count; ++b) {
-      double second = across.dot(motion[b].way) - motion[b].turn.dot(turning);
-      // The palm turns about one vector, not about three axes one after the other.
-      if (a >= 3 && b < kPalmVariables && b > a)
-        second += 0.5 * (motion[b].turn.dot(turning) - motion[a].turn.dot(motion[b].way.cross(n)));
-      shape.bend[a][b] = second;
-    }
+    for (int b = a; b < count; ++b) shape.bend[a][b] = across.dot(motion[b].way) - motion[b].turn.dot(turning);
   }
+  // The palm turns about one vector, not about three axes one after the other.
+  for (int a = 3; a < kPalmVariables; ++a)
+    for (int b = a + 1; b < kPalmVariables; ++b)
+      shape.bend[a][b] +=
+          0.5 * (motion[b].turn.dot(motion[a].way.cross(n)) - motion[a].turn.dot(motion[b].way.cross(n)));
   return shape;
 }
 
-double bend_along(const Change& weight, GapShape& s) {
-  double across[kOfLink], bent[kOfLink], yield = 0, own = 0;
-  for (int a = 0; a < s.count; ++a) {
-    across[a] = s.slope[a] / weight[a < kPalmVariables ? a : a + kFingerVariables * s.finger];
-    yield += across[a] * s.slope[a];
-  }
-  for (int a = 0; a < s.count; ++a) across[a] /= yield;
-  for (int a = 0; a < s.count; ++a) {
-    bent[a] = 0;
-    for (int b = 0; b < s.count; ++b) bent[a] += (a <= b ? s.bend[a][b] : s.bend[b][a]) * across[b];
-    own += bent[a] * across[a];
-  }
-  for (int a = 0; a < s.count; ++a)
-    for (int b = a; b < s.count; ++b)
-      s.bend[a][b] += own * s.slope[a] * s.slope[b] - s.slope[a] * bent[b] - bent[a] * s.slope[b];
-  return 1 / yield;
-}
-
 void add_shape(const GapShape& s, double bend_factor, double slope_factor, ArrowMatrix& h) {
-  for (int a = 0; a < s.count; ++a) {
-    for (int b = a; b < s.count; ++b) {
-      const double value = bend_factor * s.bend[a][b] + slope_factor * s.slope[a] * s.slope[b];
-      if (b < kPalmVariables) {
-        h.palm[a][b] += value;
-        if (b > a) h.palm[b][a] += value;
-      } else if (a < kPalmVariables) {
-        h.across[s.finger][a][b - kPalmVariables] += value;
-      } else {
-        h.finger[s.finger][a - kPalmVariables][b - kPalmVariables] += value;
-        if (b > a) h.finger[s.finger][b - kPalmVariables][a - kPalmVariables] += value;
-      }
-    }
+  const auto value = [&](int a, int b) { return bend_factor * s.bend[a][b] + slope_factor * s.slope[a] * s.slope[b]; };
+  for (int a = 0; a < kPalmVariables; ++a)
+    for (int b = a; b < kPalmVariables; ++b) h.palm[b][a] += value(a, b);
+  if (s.finger < 0) return;
+  auto& across = h.across[s.finger];
+  auto& finger = h.finger[s.finger];
+  for (int b = kPalmVariables; b < s.count; ++b) {
+    const int k = b - kPalmVariables;
+    for (int a = 0; a < kPalmVariables; ++a) across[a][k] += value(a, b);
+    for (int a = kPalmVariables; a <= b; ++a) finger[k][a - kPalmVariables] += value(a, b);
   }
 }
 

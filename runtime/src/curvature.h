@@ -21,11 +21,6 @@ struct GapShape {
 GapShape gap_shape(const HandModel& hand, const HandPlacement& at, int link, std::uint32_t palm_sphere,
                    const Sphere& sphere);
 
-// Takes from the second derivatives all that a change across the contact has a part in, so that they are those along
-// it: for a change that leaves the gap as it is, to first order, nothing changes. Across is meant by the springs'
-// weights; returns their stiffness in that direction, N / m.
-double bend_along(const Change& weight, GapShape& shape);
-
 // h += bend_factor * (second derivatives) + slope_factor * (first derivatives times themselves).
 void add_shape(const GapShape& shape, double bend_factor, double slope_factor, ArrowMatrix& h);
 

@@ -61,7 +61,7 @@ void Metric::set_diagonal(int variable, double inverse_weight) {
 bool Metric::of(const ArrowMatrix& h, const Change& least, Metric& out) {
   double palm[kPalmVariables][kPalmVariables];
   for (int i = 0; i < kPalmVariables; ++i)
-    for (int j = 0; j < kPalmVariables; ++j) palm[i][j] = h.palm[i][j];
+    for (int j = 0; j <= i; ++j) palm[i][j] = h.palm[i][j];
   double k_times[kFingers][kPalmVariables][kFingerVariables];  // K L^-1
   for (int f = 0; f < kFingers; ++f) {
     const auto& m = out.finger[f];

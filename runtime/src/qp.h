@@ -22,7 +22,8 @@ struct QpRows {
   std::vector<double> b;
 };
 
-// A symmetric matrix over all variables in which the palm's meet every finger's and no two fingers' meet.
+// A symmetric matrix over all variables in which the palm's meet every finger's and no two fingers' meet. Of palm and
+// finger only the lower triangles are read.
 struct ArrowMatrix {
   double palm[kPalmVariables][kPalmVariables] = {};
   double finger[kFingers][kFingerVariables][kFingerVariables] = {};

@@ -9,14 +9,14 @@ namespace palmar {
 
 namespace {
 
-constexpr int kRowRounds = 8;             // programmes in a round, each with the rows that the last one lacked,
-constexpr int kRowsMore = 4;              // at most so many for each link
-constexpr double kRowNear = 3e-5;         // metres: a pair this near gets a row before it is asked for
-constexpr double kLeastPivot = 0.01;      // of the stiffness that curvature has to leave
-constexpr double kBend = 0.015;           // metres: with curvature, a move by m leaves about m^2 / kBend to go,
-constexpr double kWithout = 0.1;          // without it about this share of m
-constexpr double kAcross[] = {1e3, 3e4};  // times the springs' stiffness across a contact, added in turn
-constexpr int kAttempts = 3;              // trial poses along one direction: all of it, a quarter, a sixteenth
+constexpr int kRowRounds = 8;         // programmes in a round, each with the rows that the last one lacked,
+constexpr int kRowsMore = 4;          // at most so many for each link
+constexpr double kRowNear = 3e-5;     // metres: a pair this near gets a row before it is asked for
+constexpr double kLeastPivot = 0.01;  // of the stiffness that curvature has to leave
+constexpr double kBend = 0.015;       // metres: with curvature, a move by m leaves about m^2 / kBend to go,
+constexpr double kWithout = 0.1;      // without it about this share of m
+constexpr double kAcross = 1e3, kAcrossMore = 3e4;  // times the springs' stiffness across a contact, added
+constexpr int kAttempts = 3;  // trial poses along one direction: all of it, a quarter, a sixteenth
 
 double cost(const Change& weight, const Change& d) {
   double sum = 0;
@@ -127,10 +127,16 @@ bool Round::bent_metric(const Change& way, Metric& metric) const {
   std::array<double, kVariables> stiffness;  // of the springs across each contact
   for (int k = 0; k < state.pressing_count; ++k) {
     const Pressing& p = state.pressing[k];
-    shape[k] = gap_shape(scene.hand, state.placement, p.link, p.palm_sphere, scene.object.leaves[p.object_sphere]);
-    stiffness[k] = bend_along(weight, shape[k]);
-    add_shape(shape[k], -scene.settings.curvature * p.multiplier, 0.0, bent);
+    GapShape& s = shape[k];
+    s = gap_shape(scene.hand, state.placement, p.link, p.palm_sphere, scene.object.leaves[p.object_sphere]);
+    double yield = 0;
+    for (int a = 0; a < s.count; ++a)
+      yield += s.slope[a] * s.slope[a] / weight[a < kPalmVariables ? a : a + kFingerVariables * s.finger];
+    stiffness[k] = 1 / yield;
+    add_shape(s, -scene.settings.curvature * p.multiplier, kAcross * stiffness[k], bent);
   }
+  for (int v = 0; v < kVariables; ++v)
+    if (state.at_limit >> v & 1) bent.add_diagonal(v, kAcross * weight[v]);
   // The energy of a turn by the vector w from the haptic hand, 1/2 k |w|^2, is flatter across w than along it.
   const Vec3 turn(way[3], way[4], way[5]);
   const double angle = turn.norm();
@@ -138,17 +144,16 @@ bool Round::bent_metric(const Change& way, Metric& metric) const {
     const Vec3 axis = turn / angle;
     const double flat = weight[3] * (1.0 - 0.5 * angle / std::tan(0.5 * angle));
     for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j) bent.palm[3 + i][3 + j] -= flat * ((i == j) - axis[i] * axis[j]);
+      for (int j = 0; j <= i; ++j) bent.palm[3 + i][3 + j] -= flat * ((i == j) - axis[i] * axis[j]);
   }
   Change least;
   for (int v = 0; v < kVariables; ++v) least[v] = kLeastPivot * weight[v];
-  for (const double more : kAcross) {
-    for (int k = 0; k < state.pressing_count; ++k) add_shape(shape[k], 0.0, more * stiffness[k], bent);
-    for (int v = 0; v < kVariables; ++v)
-      if (state.at_limit >> v & 1) bent.add_diagonal(v, more * weight[v]);
-    if (Metric::of(bent, least, metric)) return true;
-  }
-  return false;
+  if (Metric::of(bent, least, metric)) return true;
+  // Contacts that are nearly alike hold the directions in which they differ only weakly.
+  for (int k = 0; k < state.pressing_count; ++k) add_shape(shape[k], 0.0, kAcrossMore * stiffness[k], bent);
+  for (int v = 0; v < kVariables; ++v)
+    if (state.at_limit >> v & 1) bent.add_diagonal(v, kAcrossMore * weight[v]);
+  return Metric::of(bent, least, metric);
 }
 
 // The programme at a pose: towards `wish`, no variable carrying a link farther than it is allowed, with a row for

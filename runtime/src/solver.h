@@ -49,16 +49,16 @@ struct Pressing {
 
 // Everything that the next step starts from. Poses are in the object's frame.
 struct SolverState {
-  Configuration graphic;     // verified: no gap below zero
-  HandPlacement placement;   // of graphic
-  Configuration haptic;      // of the step before
-  PerLink reach{};           // how far around each link the next step looks
+  Configuration graphic;    // verified: no gap below zero
+  HandPlacement placement;  // of graphic
+  Configuration haptic;     // of the step before
+  PerLink reach{};          // how far around each link the next step looks
   std::array<Pressing, kVariables> pressing;
   int pressing_count = 0;
   std::uint32_t at_limit = 0;  // bit v: the last programme's answer held variable v at its joint limit
-  bool resting = false;      // the step moved nothing, and another one with this haptic pose would not either
-  std::uint32_t status = 0;  // of that step
-  Change velocity{};         // of graphic, where a solver integrates over time
+  bool resting = false;        // the step moved nothing, and another one with this haptic pose would not either
+  std::uint32_t status = 0;    // of that step
+  Change velocity{};           // of graphic, where a solver integrates over time
   bool started = false;
 };
 

@@ -13,9 +13,9 @@ double entry(const ArrowMatrix& h, int a, int b) {
   if (a > b) std::swap(a, b);
   const auto finger = [](int v) { return (v - kPalmVariables) / kFingerVariables; };
   const auto own = [](int v) { return (v - kPalmVariables) % kFingerVariables; };
-  if (b < kPalmVariables) return h.palm[a][b];
+  if (b < kPalmVariables) return h.palm[b][a];
   if (a < kPalmVariables) return h.across[finger(b)][a][own(b)];
-  return finger(a) == finger(b) ? h.finger[finger(a)][own(a)][own(b)] : 0.0;
+  return finger(a) == finger(b) ? h.finger[finger(a)][own(b)][own(a)] : 0.0;
 }
 
 double gap_of(const HandModel& hand, const Configuration& q, int link, int palm_sphere, const Sphere& s) {
