@@ -47,7 +47,7 @@ MEANING = {
     "contacts": "Contact pairs handled in a step.",
     "step_cpu": "Thread CPU time of one step.",
     "step_wall": "Wall time of one step; other work on the machine is in it.",
-    "step_operations": "Rows, nodes and iterations used by a step.",
+    "step_operations": "Operations used by a step (docs/settings.md).",
     "protrusion": "How far the leaf spheres bulge out of the true mesh: the error of the model, outwards.",
     "gap": "How far the true mesh lies outside the leaf spheres: the error of the model, inwards.",
     "normal_error": "Angle between the normals of sphere union and mesh, as a fingertip feels them.",

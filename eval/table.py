@@ -67,8 +67,9 @@ def _steps_by_100_000(case: Case) -> float:
 
 
 def _operation_budget(case: Case) -> float | None:
-    """What the solver may use in a step; None for a solver without a budget."""
-    return case.settings().get("operations")
+    """What the solver may use in a step; None for a baseline, which has no budget."""
+    settings = case.settings()
+    return settings.get("operations") if settings.get("solver") == "progressive" else None
 
 
 def _pack_bytes(case: Case) -> Array:

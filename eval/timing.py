@@ -34,7 +34,7 @@ def step_wall(case: Case) -> Array:
 
 
 def step_operations(case: Case) -> Array:
-    """(n,) rows, nodes and iterations used."""
+    """(n,) operations used."""
     return case.run.operations.astype(np.float64)
 
 

@@ -23,6 +23,7 @@ STATUS = {
     16: "bad_sample",  # the sample was not usable (lost tracking, not finite); the last good one stays
     32: "limit",  # a joint limit of the hand model clipped the sample
     64: "releasing",  # the hand was left behind and is led round the object; no force
+    128: "contacts_cut",  # the step's list of contacts has no room for all of them
 }
 
 

@@ -80,6 +80,7 @@ bool gather_near(const Scene& scene, const HandPlacement& at, double margin, int
   bool found = true;
   for (int link = first_link; link < kLinks; ++link) {
     work.candidates.count[link] = 0;
+    work.candidates.margin[link] = -1.0;
     if (link >= end_link) continue;
     gather_link(scene.hand, scene.palm, scene.object, at, link, margin, work.candidates, visited);
     found &= work.candidates.margin[link] >= 0;

@@ -10,125 +10,7 @@ namespace palmar {
 
 namespace {
 
-constexpr int kFoundCapacity = 8192;
-
-// Halves a range of palm spheres along its longest side until sixteen or fewer are left.
-void add_groups(const HandModel& hand, std::uint32_t* begin, std::uint32_t* end, double slack,
-                std::vector<PalmGroups::Group>& groups) {
-  PalmGroups::Group group;
-  group.low = group.high = hand.palm[*begin].center;
-  group.radius = 0;
-  group.count = int(std::min<std::ptrdiff_t>(end - begin, kWide));
-  for (const std::uint32_t* i = begin; i < end; ++i) {
-    group.low = group.low.cwiseMin(hand.palm[*i].center);
-    group.high = group.high.cwiseMax(hand.palm[*i].center);
-    group.radius = std::max(group.radius, hand.palm[*i].radius);
-  }
-  if (end - begin > kWide) {
-    int axis;
-    (group.high - group.low).maxCoeff(&axis);
-    std::uint32_t* const middle = begin + (end - begin) / 2;
-    std::nth_element(begin, middle, end, [&](std::uint32_t i, std::uint32_t j) {
-      const double ci = hand.palm[i].center[axis], cj = hand.palm[j].center[axis];
-      return ci < cj || (ci == cj && i < j);
-    });
-    add_groups(hand, begin, middle, slack, groups);
-    add_groups(hand, middle, end, slack, groups);
-    return;
-  }
-  for (int k = 0; k < kWide; ++k) {
-    const bool used = k < group.count;
-    const PalmSphere& s = hand.palm[used ? begin[k] : *begin];
-    group.sphere[k] = used ? begin[k] : 0;
-    group.node.x[k] = used ? float(s.center.x()) : 1e9f;  // farther than anything a pack may hold
-    group.node.y[k] = float(s.center.y());
-    group.node.z[k] = float(s.center.z());
-    group.node.r[k] = float(s.radius + slack);
-    group.node.child[k] = 0;
-  }
-  groups.push_back(group);
-}
-
-// The box around a group's centres, rounded by its largest radius and the margin.
-BoxQuery box_of(const PalmGroups::Group& group, const HandPlacement& at, double margin) {
-  const Vec3 half = 0.5 * (group.high - group.low);
-  const Vec3 middle = at.rotation * (0.5 * (group.low + group.high)) + at.position;
-  BoxQuery box;
-  box.cx = float(middle.x()), box.cy = float(middle.y()), box.cz = float(middle.z());
-  for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < 3; ++k) box.m[3 * i + k] = float(at.rotation(k, i));
-  box.hx = float(half.x()), box.hy = float(half.y()), box.hz = float(half.z());
-  box.radius = float(group.radius + margin + query_rounding(middle, half.norm() + group.radius));
-  return box;
-}
-
-// Pairs found so far, in out.near; false when there is no more room.
-bool add(Candidates& out, int& count, double gap, std::uint32_t object_sphere, std::uint32_t palm_sphere) {
-  if (count == int(out.near.size())) return false;
-  out.near[count++] = {gap, object_sphere, palm_sphere};
-  return true;
-}
-
-// A group's pairs, one sphere of the palm after the other: slower, but what a dense object has near one sphere fits.
-bool find_each_sphere(const HandModel& hand, const PalmGroups::Group& group, const CollisionObject& object,
-                      const HandPlacement& at, double margin, Candidates& out, int& count, std::uint32_t& visited) {
-  for (int k = 0; k < group.count; ++k) {
-    const PalmSphere& mine = hand.palm[group.sphere[k]];
-    const Vec3 center = at.rotation * mine.center + at.position;
-    const int found =
-        object.tree.find(ball_query(center, mine.radius, margin), out.found.data(), kFoundCapacity, visited);
-    if (found > kFoundCapacity) return false;
-    visited += std::uint32_t(found);
-    for (int i = 0; i < found; ++i) {
-      const Sphere& sphere = object.leaves[out.found[i]];
-      const double gap = (center - sphere.center).norm() - mine.radius - sphere.radius;
-      if (gap <= margin && !add(out, count, gap, out.found[i], group.sphere[k])) return false;
-    }
-  }
-  return true;
-}
-
-// The object's spheres near the box of each group, then each against the group's sixteen at once, in the palm's frame.
-bool find_palm(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
-               double margin, Candidates& out, int& count, std::uint32_t& visited) {
-  alignas(64) float excess[kWide];
-  for (const PalmGroups::Group& group : palm.groups) {
-    const int near = object.tree.find(box_of(group, at, margin), out.found.data(), kFoundCapacity, visited);
-    if (near > kFoundCapacity) {
-      if (!find_each_sphere(hand, group, object, at, margin, out, count, visited)) return false;
-      continue;
-    }
-    visited += std::uint32_t(near);
-    for (int i = 0; i < near; ++i) {
-      const Sphere& sphere = object.leaves[out.found[i]];
-      const Vec3 in_palm = at.rotation.transpose() * (sphere.center - at.position);
-      const double rounding = query_rounding(in_palm, sphere.radius + hand.reach);
-      ball_excess(group.node, float(in_palm.x()), float(in_palm.y()), float(in_palm.z()),
-                  float(sphere.radius + margin + rounding), excess);
-      for (int k = 0; k < group.count; ++k) {
-        if (excess[k] > 0.0f) continue;
-        const PalmSphere& mine = hand.palm[group.sphere[k]];
-        const double gap = (mine.center - in_palm).norm() - mine.radius - sphere.radius;
-        if (gap <= margin && !add(out, count, gap, out.found[i], group.sphere[k])) return false;
-      }
-    }
-  }
-  return true;
-}
-
-bool find_phalanx(const CollisionObject& object, const Capsule& c, double margin, Candidates& out, int& count,
-                  std::uint32_t& visited) {
-  const int found =
-      object.tree.find(capsule_query(c.c1, c.c2, c.r1, c.r2, margin), out.found.data(), kFoundCapacity, visited);
-  if (found > kFoundCapacity) return false;
-  visited += std::uint32_t(found);
-  for (int i = 0; i < found; ++i) {
-    const Sphere& sphere = object.leaves[out.found[i]];
-    const double gap = capsule_sphere_gap(c, sphere.center, sphere.radius).gap;
-    if (gap <= margin && !add(out, count, gap, out.found[i], UINT32_MAX)) return false;
-  }
-  return true;
-}
+constexpr int kNodeRoom = 4096;  // nodes that a search may keep for later
 
 struct CapsuleLine {
   double x, y, z, ux, uy, uz, length, r1, sin_phi, tan_phi;
@@ -194,8 +76,8 @@ Candidates::Candidates(int per_link_)
       palm_radius(per_link),
       object_sphere(size()),
       palm_sphere(size(), UINT32_MAX),
-      found(kFoundCapacity),
-      near(kFoundCapacity) {
+      near(2 * per_link),
+      nodes(kNodeRoom) {
   forget();
 }
 
@@ -206,100 +88,68 @@ void Candidates::forget() {
 
 int Candidates::total() const { return std::accumulate(count.begin(), count.end(), 0); }
 
-PalmGroups::PalmGroups(const HandModel& hand) {
-  std::vector<std::uint32_t> order(hand.palm.size());
-  std::iota(order.begin(), order.end(), 0u);
-  // As WideTree's: a handful of float operations on coordinates no larger than the hand's reach.
-  const double slack = 16.0 * hand.reach * std::numeric_limits<float>::epsilon();
-  add_groups(hand, order.data(), order.data() + order.size(), slack, groups);
-}
-
-void gather_link(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
-                 int link, double margin, Candidates& out, std::uint32_t& visited) {
+void Candidates::put(const HandModel& hand, const CollisionObject& object, const HandPlacement& at, int link, int pairs,
+                     double margin_m) {
   if (link == 0) {
-    out.from.position = at.position;
-    out.from.rotation = at.rotation;
+    from.position = at.position;
+    from.rotation = at.rotation;
   } else {
-    out.from.phalanx[link - 1] = at.phalanx[link - 1];
+    from.phalanx[link - 1] = at.phalanx[link - 1];
   }
-  // Where even the search's own room is too small, it looks less far: a fourth time at a 64th.
-  int count = 0;
-  bool fits = false;
-  for (int k = 0; k < 4 && !fits; ++k) {
-    if (k > 0) margin *= 0.25;
-    count = 0;
-    fits = link == 0 ? find_palm(hand, palm, object, at, margin, out, count, visited)
-                     : find_phalanx(object, at.phalanx[link - 1], margin, out, count, visited);
+  count[link] = pairs;
+  margin[link] = margin_m;
+  const float shells = margin_m > 0 ? float(kShells / margin_m) : 0.0f;
+  // Rounded down: a pair may lie in a nearer shell than it need, never in a farther one.
+  const auto shell_of = [&](const Near& n) {
+    const float k = n.gap * shells * (1.0f - 1e-6f);
+    return k > 0.0f ? std::min(int(k), kShells - 1) : 0;
+  };
+  std::array<int, kShells> next{};
+  for (int i = 0; i < pairs; ++i) ++next[shell_of(near[i])];
+  for (int k = 0, sum = 0; k < kShells; ++k) {
+    const int of_shell = next[k];
+    next[k] = begin(link) + sum;
+    shell_end[link][k] = sum += of_shell;
   }
-  if (!fits) {
-    out.count[link] = 0;
-    out.margin[link] = -1.0;
-    return;
-  }
-  if (count > out.per_link) {
-    const auto nearer = [](const Candidates::Near& a, const Candidates::Near& b) {
-      if (a.gap != b.gap) return a.gap < b.gap;
-      if (a.object_sphere != b.object_sphere) return a.object_sphere < b.object_sphere;
-      return a.palm_sphere < b.palm_sphere;
-    };
-    std::nth_element(out.near.begin(), out.near.begin() + out.per_link, out.near.begin() + count, nearer);
-    margin = out.near[out.per_link].gap;
-    count = out.per_link;
-  }
-  out.count[link] = count;
-  out.margin[link] = margin;
-  const int begin = out.begin(link);
-  for (int i = 0; i < count; ++i) {
-    const Candidates::Near& n = out.near[i];
+  for (int i = 0; i < pairs; ++i) {
+    const Near& n = near[i];
+    const int to = next[shell_of(n)]++;
     const Sphere& sphere = object.leaves[n.object_sphere];
-    out.x[begin + i] = sphere.center.x();
-    out.y[begin + i] = sphere.center.y();
-    out.z[begin + i] = sphere.center.z();
-    out.radius[begin + i] = sphere.radius;
-    out.object_sphere[begin + i] = n.object_sphere;
+    x[to] = sphere.center.x();
+    y[to] = sphere.center.y();
+    z[to] = sphere.center.z();
+    radius[to] = sphere.radius;
+    object_sphere[to] = n.object_sphere;
     if (link > 0) continue;
     const PalmSphere& mine = hand.palm[n.palm_sphere];
-    out.palm_x[i] = mine.center.x();
-    out.palm_y[i] = mine.center.y();
-    out.palm_z[i] = mine.center.z();
-    out.palm_radius[i] = mine.radius;
-    out.palm_sphere[i] = n.palm_sphere;
+    palm_x[to] = mine.center.x();
+    palm_y[to] = mine.center.y();
+    palm_z[to] = mine.center.z();
+    palm_radius[to] = mine.radius;
+    palm_sphere[to] = n.palm_sphere;
   }
-}
-
-bool is_free(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
-             std::uint32_t& visited) {
-  constexpr int kTouching = 256;
-  std::array<std::uint32_t, kTouching> found;
-  const auto enters = [&](const SphereQuery& query, const auto& gap_of) {
-    const int count = object.tree.find(query, found.data(), kTouching, visited);
-    return count > kTouching || std::any_of(found.begin(), found.begin() + count,
-                                            [&](std::uint32_t i) { return gap_of(object.leaves[i]) < 0; });
-  };
-  for (const Capsule& c : at.phalanx)
-    if (enters(capsule_query(c.c1, c.c2, c.r1, c.r2, 0.0),
-               [&](const Sphere& s) { return capsule_sphere_gap(c, s.center, s.radius).gap; }))
-      return false;
-  for (const PalmGroups::Group& group : palm.groups) {
-    if (object.tree.find(box_of(group, at, 0.0), found.data(), kTouching, visited) == 0) continue;
-    for (int k = 0; k < group.count; ++k) {
-      const PalmSphere& mine = hand.palm[group.sphere[k]];
-      const Vec3 center = at.rotation * mine.center + at.position;
-      if (enters(ball_query(center, mine.radius, 0.0),
-                 [&](const Sphere& s) { return (center - s.center).norm() - mine.radius - s.radius; }))
-        return false;
-    }
-  }
-  return true;
 }
 
 double room_of(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, int link) {
   return candidates.margin[link] < 0 ? -1.0 : candidates.margin[link] - link_motion(hand, candidates.from, at, link);
 }
 
-double evaluate_gaps(const HandModel& hand, const Candidates& c, const HandPlacement& at, int link, double* gap) {
-  const int begin = c.begin(link), count = c.count[link];
-  if (count == 0) return std::numeric_limits<double>::infinity();
+double evaluate_gaps(const HandModel& hand, const Candidates& c, const HandPlacement& at, int link, double* gap,
+                     double look, std::uint32_t& operations) {
+  const double infinity = std::numeric_limits<double>::infinity();
+  const int begin = c.begin(link);
+  if (c.count[link] == 0) return infinity;
+  // The shells that may be within sight, or the first one that holds any.
+  int count = c.count[link];
+  double beyond = infinity;
+  if (look < infinity) {
+    const double motion = link_motion(hand, c.from, at, link), shell = c.margin[link] / Candidates::kShells;
+    int k = int(std::min(std::max(0.0, (motion + look) / shell), double(Candidates::kShells - 1)));
+    while (c.shell_end[link][k] == 0) ++k;
+    count = c.shell_end[link][k];
+    beyond = (k + 1) * shell - motion;
+  }
+  operations += std::uint32_t(1 + count / 8);
   if (link == 0) {
     PalmFrame f;
     for (int i = 0; i < 3; ++i)
@@ -317,12 +167,18 @@ double evaluate_gaps(const HandModel& hand, const Candidates& c, const HandPlace
     capsule_gaps({p.c1.x(), p.c1.y(), p.c1.z(), u.x(), u.y(), u.z(), length, p.r1, sin_phi, tan_phi}, &c.x[begin],
                  &c.y[begin], &c.z[begin], &c.radius[begin], count, gap + begin);
   }
-  return smallest(gap + begin, count);
+  const double least = smallest(gap + begin, count);
+  if (count == c.count[link]) return least;
+  std::fill(gap + begin + count, gap + c.end(link), beyond);
+  return std::min(least, beyond);
 }
 
 double evaluate_gaps(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, double* gap) {
   double least = std::numeric_limits<double>::infinity();
-  for (int link = 0; link < kLinks; ++link) least = std::min(least, evaluate_gaps(hand, candidates, at, link, gap));
+  std::uint32_t operations = 0;
+  for (int link = 0; link < kLinks; ++link)
+    least = std::min(
+        least, evaluate_gaps(hand, candidates, at, link, gap, std::numeric_limits<double>::infinity(), operations));
   return least;
 }
 
@@ -339,12 +195,12 @@ bool linearise(const HandModel& hand, const Candidates& candidates, const HandPl
       fits = false;
       return -1;
     }
-    const double room = gap[i] - aim;
-    rows.b[rows.count] = push_out ? -room : -std::max(room, 0.0);
     row_candidate[rows.count] = i;
     return rows.count++;
   };
-  const auto put_palm = [&](int row, const Vec3& point, const Vec3& normal) {
+  const auto put_palm = [&](int row, double here, const Vec3& point, const Vec3& normal) {
+    const double room = here - aim;
+    rows.b[row] = push_out ? -room : -std::max(room, 0.0);
     // A turn w of the palm moves a point by w x (point - origin), so its share of the gap is (point - origin) x normal.
     const Vec3 turn = (point - at.position).cross(normal);
     for (int k = 0; k < 3; ++k) {
@@ -359,7 +215,8 @@ bool linearise(const HandModel& hand, const Candidates& candidates, const HandPl
     const Vec3 center = at.rotation * mine + at.position;
     const Vec3 away = center - candidates.center(i);
     const double distance = away.norm();
-    put_palm(row, center, distance > 0 ? Vec3(away / distance) : Vec3(0, 0, 1));
+    put_palm(row, distance - candidates.palm_radius[i] - candidates.radius[i], center,
+             distance > 0 ? Vec3(away / distance) : Vec3(0, 0, 1));
   }
   for (int f = 0; f < kFingers; ++f) {
     rows.group_start[f + 1] = rows.count;
@@ -369,7 +226,7 @@ bool linearise(const HandModel& hand, const Candidates& candidates, const HandPl
         const int row = next_row(i, limit[link]);
         if (row < 0) continue;
         const CapsuleGap c = capsule_sphere_gap(at.phalanx[link - 1], candidates.center(i), candidates.radius[i]);
-        put_palm(row, c.axis, c.normal);
+        put_palm(row, c.gap, c.axis, c.normal);
         const auto turn_about = [&](const Vec3& axis, const Vec3& joint) {
           return axis.dot((c.axis - joint).cross(c.normal));
         };

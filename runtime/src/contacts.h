@@ -14,6 +14,13 @@ namespace palmar {
 
 using PerLink = std::array<double, kLinks>;
 
+// Work is counted in operations of about fifteen nanoseconds, whatever it is spent on.
+constexpr std::uint32_t kNodeOperations = 3;  // sixteen spheres against a link, or sixteen of the palm against one
+
+// A step looks this far around a link for what its rows and contacts need, metres; beyond, a bound of the gap is
+// enough.
+constexpr double kLook = 3e-5;
+
 // Pairs within margin[l] of link l where it was when its list was made, in `from`. Complete: as long as link l has not
 // moved farther than margin[l] from there, a pair of it that is not in the list cannot touch. A list stays good for as
 // many steps as that holds.
@@ -24,6 +31,11 @@ struct Candidates {
   std::array<int, kLinks> count{};  // pairs of link l: begin(l) .. end(l)
   PerLink margin;                   // below zero: no list
   HandPlacement from;
+
+  // A list lies in shells of equal width, nearest first: the pairs of shell k were (k / kShells) margin away in `from`
+  // or farther. While the link has moved less than that, nothing need be known of them.
+  static constexpr int kShells = 16;
+  std::array<std::array<int, kShells>, kLinks> shell_end{};  // pairs of the link in shells 0 .. k
 
   // One entry a pair. x, y, z, radius: the object's sphere, in its frame; palm_x .. palm_radius, for link 0 only: the
   // palm's, in the palm's.
@@ -38,46 +50,30 @@ struct Candidates {
   Vec3 center(int pair) const { return {x[pair], y[pair], z[pair]}; }
   void forget();  // every list
 
-  // Scratch of a search.
-  std::vector<std::uint32_t> found;
+  // Scratch of a search: pairs found and nodes to look into, each with a lower bound of its gap.
   struct Near {
-    double gap;
+    float gap;
     std::uint32_t object_sphere, palm_sphere;
   };
-  std::vector<Near> near;
-};
-
-// The palm's own spheres in groups of up to sixteen neighbours, each with the box around their centres (palm frame), so
-// that palm against object costs contacts, not spheres times spheres.
-struct PalmGroups {
-  explicit PalmGroups(const HandModel& hand);
-  struct Group {
-    WideNode node;
-    std::array<std::uint32_t, kWide> sphere;
-    int count;
-    Vec3 low, high;
-    double radius;  // the largest
+  struct Node {
+    float gap;
+    std::uint32_t node, group;
   };
-  std::vector<Group> groups;
+  std::vector<Near> near;
+  std::vector<Node> nodes;
+
+  // The list of a link at a placement: the first `pairs` in `near`.
+  void put(const HandModel& hand, const CollisionObject& object, const HandPlacement& at, int link, int pairs,
+           double margin_m);
 };
-
-// Makes the list of one link anew: the pairs within `margin` of the placement. Where they are more than the list has
-// room for, the nearest ones, and the margin becomes the gap of the first left out: exact for shorter moves.
-void gather_link(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
-                 int link, double margin, Candidates& out, std::uint32_t& visited);
-
-// True if no sphere of the object enters any part of the hand there; false also where so many touch that looking at
-// each would take long. Ends at the first that enters.
-bool is_free(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
-             std::uint32_t& visited);
 
 // How far link l may go from `at` before its list is no longer complete; below zero without a list.
 double room_of(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, int link);
 
-// Exact gaps of one link's or all pairs at a placement, into `gap` (by pair number). Returns the smallest (+infinity
-// for none).
+// Gaps of one link's or all pairs at a placement, into `gap` (by pair number): exact where they may be less than
+// `look`, else a lower bound. Returns the smallest (+infinity for none). Adds what it did to `operations`.
 double evaluate_gaps(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, int link,
-                     double* gap);
+                     double* gap, double look, std::uint32_t& operations);
 double evaluate_gaps(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, double* gap);
 
 // The smallest of `count` gaps; +infinity of none.

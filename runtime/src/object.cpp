@@ -27,11 +27,29 @@ std::vector<std::uint32_t> outermost(const std::vector<Sphere>& spheres) {
   return kept;
 }
 
+// No surface is farther from the origin.
+double farthest(const std::vector<Sphere>& spheres) {
+  double most = 0;
+  for (const Sphere& s : spheres) most = std::max(most, s.center.norm() + s.radius);
+  return most;
+}
+
 }  // namespace
 
 CollisionObject::CollisionObject(const std::vector<Sphere>& spheres) : number(outermost(spheres)) {
   leaves.reserve(number.size());
   for (const std::uint32_t i : number) leaves.push_back(spheres[i]);
+  // In the order of the tree's leaves, so that neighbours lie together in memory.
+  std::vector<std::uint32_t> order(leaves.size());
+  std::uint32_t visited = 0;
+  const double all = 10 * farthest(leaves);
+  WideTree(leaves).find(ball_query(Vec3::Zero(), all, 0.0), order.data(), int(order.size()), visited);
+  const std::vector<Sphere> before = leaves;
+  const std::vector<std::uint32_t> number_before = number;
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    leaves[i] = before[order[i]];
+    number[i] = number_before[order[i]];
+  }
   tree = WideTree(leaves);
   Vec3 low = leaves.front().center, high = low;
   for (const Sphere& s : leaves) {

@@ -39,6 +39,7 @@ enum Status : std::uint32_t {
   kBadSample = 16,
   kLimit = 32,
   kReleasing = 64,
+  kContactsCut = 128,
 };
 
 struct Contact {

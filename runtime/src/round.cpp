@@ -10,13 +10,18 @@ namespace palmar {
 namespace {
 
 constexpr int kRowRounds = 8;         // programmes in a round, each with the rows that the last one lacked,
-constexpr int kRowsMore = 4;          // at most so many for each link
-constexpr double kRowNear = 3e-5;     // metres: a pair this near gets a row before it is asked for
+constexpr int kRowsNear = 32;         // rows that a link gets unasked, and as many more as lie within twice aim_m,
+constexpr int kRowsMore = 4;          // and at most so many more each time
+constexpr double kRowNear = kLook;    // metres: a pair this near gets a row before it is asked for
 constexpr double kLeastPivot = 0.01;  // of the stiffness that curvature has to leave
 constexpr double kBend = 0.015;       // metres: with curvature, a move by m leaves about m^2 / kBend to go,
 constexpr double kWithout = 0.1;      // without it about this share of m
 constexpr double kAcross = 1e3, kAcrossMore = 3e4;  // times the springs' stiffness across a contact, added
-constexpr int kAttempts = 3;  // trial poses along one direction: all of it, a quarter, a sixteenth
+constexpr int kAttempts = 3;                     // trial poses along one direction: all of it, a quarter, a sixteenth
+constexpr std::uint32_t kVerifyOperations = 75;  // but for the gaps
+constexpr std::uint32_t kProgrammeOperations = 225;  // but for
+constexpr std::uint32_t kRowOperations = 4;          // each row, and
+constexpr std::uint32_t kIterationOperations = 36;   // each iteration but for its rows
 
 double cost(const Change& weight, const Change& d) {
   double sum = 0;
@@ -80,13 +85,20 @@ AngleRates angle_rates(const Configuration& haptic, const Configuration& before,
 // Places the hand at `q` and looks how it stands there. True if every gap is known and none is negative.
 bool Round::verify(const Configuration& q) {
   const auto start = Clock::now();
+  if (work.left() < kVerifyOperations + kLinks + std::uint32_t(work.candidates.total() / 8)) {
+    trial_known = false;
+    return false;
+  }
+  work.operations += kVerifyOperations;
   trial = q;
   trial_placement = place_hand(scene.hand, q);
   trial_known = true;
   for (int link = 0; link < kLinks; ++link)
     trial_known &= room_of(scene.hand, work.candidates, trial_placement, link) >= 0;
-  trial_least = evaluate_gaps(scene.hand, work.candidates, trial_placement, work.trial_gap.data());
-  work.operations += work.candidates.total();
+  trial_least = std::numeric_limits<double>::infinity();
+  for (int link = 0; link < kLinks; ++link)
+    trial_least = std::min(trial_least, evaluate_gaps(scene.hand, work.candidates, trial_placement, link,
+                                                      work.trial_gap.data(), kLook, work.operations));
   work.verify_us += microseconds_since(start);
   return trial_known && trial_least >= 0;
 }
@@ -156,10 +168,26 @@ bool Round::bent_metric(const Change& way, Metric& metric) const {
   return Metric::of(bent, least, metric);
 }
 
+// Up to which gap the pairs of a link get a row unasked: kRowNear, or less where that would be many.
+double Round::near_limit(int link, const double* gap) const {
+  double limit = kRowNear;
+  const auto near = [&] {
+    return std::count_if(gap + work.candidates.begin(link), gap + work.candidates.end(link),
+                         [&](double g) { return g <= limit; });
+  };
+  while (limit > 2 * scene.settings.aim_m && near() > kRowsNear) limit *= 0.5;
+  return limit;
+}
+
 // The programme at a pose: towards `wish`, no variable carrying a link farther than it is allowed, with a row for
 // each pair within `near` of its link or named in work.wanted.
 QpResult Round::programme(const HandPlacement& at, const Configuration& q, const double* gap, const Metric& metric,
                           const Change& wish, const PerLink& allowed, const PerLink& near, bool push_out) {
+  if (work.left() < kProgrammeOperations + kRowOperations * std::uint32_t(work.rows.capacity)) {
+    QpResult none;
+    none.status = QpStatus::iteration_limit;
+    return none;
+  }
   const auto start = Clock::now();
   const Settings& s = scene.settings;
   // Rows that do not fit are left out: whether they were needed is seen at the trial pose.
@@ -170,8 +198,11 @@ QpResult Round::programme(const HandPlacement& at, const Configuration& q, const
   problem.target = wish;
   problem.bound = variable_bounds(scene.hand, allowed);
   joint_room(q, problem.lower, problem.upper);
-  const QpResult result = solve_qp(problem, work.rows, 1e-9, s.qp_iterations, work.violation.data());
-  work.operations += work.rows.count + result.iterations;
+  work.operations += kProgrammeOperations + kRowOperations * std::uint32_t(work.rows.count);
+  const std::uint32_t each = kIterationOperations + std::uint32_t(work.rows.count) / 8;
+  const int iterations = std::min(s.qp_iterations, int(work.left() / each));
+  const QpResult result = solve_qp(problem, work.rows, 1e-9, iterations, work.violation.data());
+  work.operations += each * std::uint32_t(std::min(result.iterations, iterations));
   work.solve_us += microseconds_since(start);
   return result;
 }
@@ -206,10 +237,10 @@ void Round::want_none() {
 
 // Moves the trial pose, which sinks in by a second-order error, the least way to where every gap is `aim` again.
 bool Round::restore(const PerLink& allowed) {
-  PerLink near;
-  near.fill(kRowNear);
   for (int k = 0; k < scene.settings.corrections && trial_least < 0 && trial_known; ++k) {
     const Configuration here = trial;
+    PerLink near;
+    for (int link = 0; link < kLinks; ++link) near[link] = near_limit(link, work.trial_gap.data());
     want_more_rows();
     const QpResult result =
         programme(trial_placement, here, work.trial_gap.data(), springs, Change{}, allowed, near, true);
@@ -287,7 +318,7 @@ RoundEnd Round::run() {
     }
     touching |= least <= room;
     allowed[link] = std::min(room, std::max(scene.settings.reach_most_m, least));
-    near[link] = std::min(allowed[link], kRowNear);
+    near[link] = std::min(allowed[link], near_limit(link, work.gap.data()));
   }
 
   const auto verify_within = [&](const Configuration& next, const Change& step, double& fraction) {
@@ -362,6 +393,7 @@ RoundEnd Round::run() {
       const QpResult result = programme(start_placement, start, work.gap.data(), with_curvature ? bent : springs, wish,
                                         allowed, near, false);
       if (result.status != QpStatus::solved) {
+        if (k > 0) break;  // some way along the last answer may do
         end.failed = true;
         return end;
       }

@@ -46,6 +46,7 @@ struct Round {
   bool verify(const Configuration& q);
   double excess(const HandPlacement& from, const HandPlacement& to, const PerLink& allowed) const;
   void joint_room(const Configuration& q, Change& lower, Change& upper) const;
+  double near_limit(int link, const double* gap) const;
   bool bent_metric(const Change& way, Metric& metric) const;
   QpResult programme(const HandPlacement& at, const Configuration& q, const double* gap, const Metric& metric,
                      const Change& wish, const PerLink& allowed, const PerLink& near, bool push_out);

@@ -13,7 +13,7 @@ namespace {
 constexpr int kContactCapacity = 512;
 constexpr double kLongestStep = 0.1;  // seconds; a clock that leaps farther says no more than that time has passed
 constexpr int kStartSteps = 50;
-constexpr int kRows = 4096;           // of one programme
+constexpr int kRows = 1024;           // of one programme
 constexpr double kContactGap = 1e-5;  // metres; a pair this near counts as a contact: ten times what a row aims at
 
 bool finite(const double* v, int n) {
@@ -139,6 +139,7 @@ double Session::seconds_since_last(double time_s) {
 
 const StepResult& Session::step(const Sample& sample) {
   work_.operations = 0;
+  work_.operations_most = std::uint32_t(settings_.operations);
   work_.search_us = work_.solve_us = work_.verify_us = 0;
   const double dt_s = seconds_since_last(sample.time_s);
   std::uint32_t status = kOk;
@@ -163,8 +164,12 @@ const StepResult& Session::step(const Sample& sample) {
       if (start_at(haptic_)) {
         gain_ = 0;
         // Outside, but not yet as near as can be: what is shown first shall not drift from there.
-        for (int k = 0; k < kStartSteps; ++k) solve_({hand_, palm_, object_, settings_}, haptic_, state_, work_);
+        for (int k = 0; k < kStartSteps; ++k) {
+          work_.operations = 0;
+          solve_({hand_, palm_, object_, settings_}, haptic_, state_, work_);
+        }
       }
+      work_.operations = 0;  // a budget is a step's; the search for a place to start has bounds of its own
       haptic_before_ = haptic_;
       haptic_before_at_ = place_hand(hand_, haptic_);
     }
@@ -229,7 +234,11 @@ void Session::report(const Configuration& haptic, bool touching) {
   const Candidates& candidates = work_.candidates;
   for (int link = 0; link < kLinks && touching; ++link) {
     for (int i = candidates.begin(link); i < candidates.end(link); ++i) {
-      if (work_.gap[i] > kContactGap || count == kContactCapacity) continue;
+      if (work_.gap[i] > kContactGap) continue;
+      if (count == kContactCapacity) {
+        result_.status |= kContactsCut;
+        break;
+      }
       const Vec3 sphere = candidates.center(i);
       Contact& contact = contacts_[count++];
       contact.link = std::uint8_t(link);

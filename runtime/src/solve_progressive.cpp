@@ -18,10 +18,12 @@ namespace palmar {
 
 namespace {
 
-constexpr double kAhead = 2.0;       // a list looks farther than the step needs: by this share of it,
-constexpr double kAheadMost = 1e-3;  // and at most by this, metres
-constexpr double kDense = 400;       // pairs of one link
-constexpr double kLeft = 1e-6;       // metres; a step is done where no more than this is left to go
+constexpr double kAhead = 2.0;               // a list looks farther than the step needs: by this share of it,
+constexpr double kAheadMost = 1e-3;          // and at most by this, metres
+constexpr double kLeft = 1e-6;               // metres; a step is done where no more than this is left to go
+constexpr int kPalmShares = 3;               // of a search's operations that are kept for the palm's, besides its own
+constexpr std::uint32_t kLeastRound = 7000;  // operations without which a further round does not begin
+constexpr int kEnough = 200;                 // pairs of one link beyond reach_least_m
 
 bool same(const Configuration& a, const Configuration& b) {
   return a.position == b.position && a.rotation.coeffs() == b.rotation.coeffs() && a.abduction == b.abduction &&
@@ -29,29 +31,40 @@ bool same(const Configuration& a, const Configuration& b) {
 }
 
 // Makes anew the lists that do not reach as far around their links as the step may want: `reach` around the pose, or to
-// the haptic pose if that is nearer. A list looks farther than that, to serve some steps. False if a link has none.
+// the haptic pose if that is nearer. A list looks farther than that, to serve some steps. At most three quarters of the
+// operations that are left go into it, shared by the links; a list that they do not suffice for reaches less far. False
+// if a link has none.
 bool gather(const Scene& scene, const HandPlacement& haptic, SolverState& state, Workspace& work) {
   const auto start = Clock::now();
-  std::uint32_t visited = 0;
-  bool complete = true;
+  const Settings& s = scene.settings;
+  PerLink reach{};
+  int links = 0;
   for (int link = 0; link < kLinks; ++link) {
     const double wanted = link_motion(scene.hand, state.placement, haptic, link);
-    const double reach = std::min(1.05 * wanted + 1e-6, state.reach[link]);
-    if (room_of(scene.hand, work.candidates, state.placement, link) >= reach) continue;
-    double margin = reach + std::min(kAhead * reach, kAheadMost);
+    reach[link] = std::min(1.05 * wanted + 1e-6, state.reach[link]);
+    if (room_of(scene.hand, work.candidates, state.placement, link) >= reach[link]) reach[link] = 0;
+    links += reach[link] > 0;
+  }
+  bool complete = true;
+  std::uint32_t left = work.left() / 4 * 3;
+  // The palm, whose search is the dearest, last: it may have what the others left.
+  for (int link = kLinks; link-- > 0;) {
+    if (reach[link] == 0) continue;
+    double margin = reach[link] + std::min(kAhead * reach[link], kAheadMost);
     // Where spheres lie dense it looks less far, by what the last list was like: cost follows the length of the lists.
     const int had = work.candidates.count[link];
     if (had > 0 && work.candidates.margin[link] > 0)
-      margin = std::min(margin, std::max(scene.settings.reach_least_m, work.candidates.margin[link] * kDense / had));
-    gather_link(scene.hand, scene.palm, scene.object, state.placement, link, margin, work.candidates, visited);
-    evaluate_gaps(scene.hand, work.candidates, state.placement, link, work.gap.data());
-    visited += std::uint32_t(work.candidates.count[link]);
+      margin = std::min(margin, std::max(s.reach_least_m, work.candidates.margin[link] * kEnough / had));
+    const std::uint32_t before = work.operations;
+    gather_link(scene.hand, scene.palm, scene.object, state.placement, link, margin, work.candidates, work.operations,
+                {s.reach_least_m, kEnough, left / std::uint32_t(links-- + (link > 0 ? kPalmShares : 0))});
+    evaluate_gaps(scene.hand, work.candidates, state.placement, link, work.gap.data(), kLook, work.operations);
+    left -= std::min(left, work.operations - before);
     work.active_count = 0;  // its numbers are places in the lists that were
     complete &= work.candidates.margin[link] > 0;
-    if (work.candidates.margin[link] < reach)
-      state.reach[link] = std::max(work.candidates.margin[link], scene.settings.reach_least_m);
+    if (work.candidates.margin[link] < reach[link])
+      state.reach[link] = std::max(work.candidates.margin[link], s.reach_least_m);
   }
-  work.operations += visited;
   work.search_us += microseconds_since(start);
   return complete;
 }
@@ -114,7 +127,7 @@ std::uint32_t solve_progressive(const Scene& scene, const Configuration& haptic,
     }
     converged = largest_motion(scene.hand, state.placement, haptic_placement) == 0;
     if (converged) break;
-    if (!gather(scene, haptic_placement, state, work)) return kKeptPrevious;
+    if (work.left() < kLeastRound || !gather(scene, haptic_placement, state, work)) break;
   }
   // Next step: as far as this one moved and half as much again, within limits.
   for (int link = 0; link < kLinks; ++link) {

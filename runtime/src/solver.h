@@ -9,6 +9,7 @@
 #include "force.h"
 #include "hand.h"
 #include "object.h"
+#include "search.h"
 
 namespace palmar {
 
@@ -20,6 +21,7 @@ struct Settings {
   int iterations = 4;           // linearise-solve-verify rounds in one step
   int corrections = 2;          // re-linearisations at a trial pose that sinks in, in one round
   int qp_iterations = 300;      // rows added or dropped in one programme
+  int operations = 50000;       // that one step may take, of about 15 ns each (contacts.h)
   int candidates = 2048;        // pairs that one link's list has room for
   double palm_priority = 1;     // how much rather a flexion yields than the palm's position; 1: as the springs have it
   double imposed_priority = 1;  // how much rather the palm's position yields than rotation and abduction; 1: likewise
@@ -80,7 +82,9 @@ struct Workspace {
   int wanted_count = 0;
   std::array<ActiveContact, kVariables> active;  // of the last programme that was accepted
   int active_count = 0;
-  std::uint32_t operations = 0;  // nodes visited, gaps evaluated, rows made, programme iterations
+  std::uint32_t operations = 0;       // of this step so far: nodes visited, gaps evaluated, rows made, programmes
+  std::uint32_t operations_most = 0;  // that it may take
+  std::uint32_t left() const { return operations_most - std::min(operations_most, operations); }
   double search_us = 0, solve_us = 0, verify_us = 0;
 };
 

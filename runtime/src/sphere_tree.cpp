@@ -14,6 +14,50 @@ namespace {
 constexpr int kMaxDepth = 16;  // 16^16 spheres
 constexpr int kMaxStack = kMaxDepth * (kWide - 1) + 1;
 
+// A ball around balls: centre of their box, then the farthest surface.
+Sphere bound_of(const Sphere* spheres, int count) {
+  Vec3 low = spheres[0].center, high = low;
+  for (int i = 0; i < count; ++i) {
+    const Vec3 r = Vec3::Constant(spheres[i].radius);
+    low = low.cwiseMin(spheres[i].center - r);
+    high = high.cwiseMax(spheres[i].center + r);
+  }
+  Sphere bound{0.5 * (low + high), 0};
+  for (int i = 0; i < count; ++i)
+    bound.radius = std::max(bound.radius, (spheres[i].center - bound.center).norm() + spheres[i].radius);
+  return bound;
+}
+
+// Sets child `i` of a node's slabs: the thinnest way through the centres of `count` spheres, and how far they reach
+// along it from the ball's centre.
+void set_slab(WideSlabs& slabs, int i, const Vec3& center, const std::uint32_t* first, std::size_t count,
+              const std::vector<Sphere>& spheres, double slack) {
+  Mat3 spread = Mat3::Zero();
+  Vec3 mean = Vec3::Zero();
+  for (std::size_t k = 0; k < count; ++k) mean += spheres[first[k]].center / double(count);
+  for (std::size_t k = 0; k < count; ++k) {
+    const Vec3 d = spheres[first[k]].center - mean;
+    spread += d * d.transpose();
+  }
+  const Eigen::SelfAdjointEigenSolver<Mat3> axes(spread);
+  // Not longer than one after rounding, so that a distance along it is never too large.
+  const Eigen::Vector3f n = ((1 - 1e-6) * axes.eigenvectors().col(0)).cast<float>();
+  double up = -std::numeric_limits<double>::infinity(), down = up, across = 0, radius = 0;
+  for (std::size_t k = 0; k < count; ++k) {
+    const Sphere& s = spheres[first[k]];
+    const double along = n.cast<double>().dot(s.center - center);
+    up = std::max(up, along + s.radius);
+    down = std::max(down, s.radius - along);
+    across = std::max(across, (s.center - center - along * n.cast<double>()).norm());
+    radius = std::max(radius, s.radius);
+  }
+  slabs.nx[i] = n.x(), slabs.ny[i] = n.y(), slabs.nz[i] = n.z();
+  slabs.up[i] = float(up + slack), slabs.down[i] = float(down + slack);
+  slabs.across[i] = float(across + slack), slabs.radius[i] = float(radius + slack);
+}
+
+}  // namespace
+
 PALMAR_WIDE void node_gaps(const WideNode& node, const SphereQuery& query, float* __restrict gap) {
   const SphereQuery q = query;  // a copy cannot alias `gap`, or the loop would not be vectorised
   for (int i = 0; i < kWide; ++i) {
@@ -48,27 +92,76 @@ PALMAR_WIDE void node_gaps(const WideNode& node, const BoxQuery& query, float* _
   }
 }
 
-// A ball around balls: centre of their box, then the farthest surface.
-Sphere bound_of(const Sphere* spheres, int count) {
-  Vec3 low = spheres[0].center, high = low;
-  for (int i = 0; i < count; ++i) {
-    const Vec3 r = Vec3::Constant(spheres[i].radius);
-    low = low.cwiseMin(spheres[i].center - r);
-    high = high.cwiseMax(spheres[i].center + r);
+PALMAR_WIDE void slab_gaps(const WideNode& node, const WideSlabs& slabs, const SphereQuery& query,
+                           float* __restrict gap) {
+  const SphereQuery q = query;
+  const float r2 = q.r1 - q.length * q.sin_phi;
+  for (int i = 0; i < kWide; ++i) {
+    // The hull of two balls is as far from a plane as the nearer of them.
+    const float d1 =
+        slabs.nx[i] * (q.x - node.x[i]) + slabs.ny[i] * (q.y - node.y[i]) + slabs.nz[i] * (q.z - node.z[i]);
+    const float d2 = d1 + q.length * (slabs.nx[i] * q.ux + slabs.ny[i] * q.uy + slabs.nz[i] * q.uz);
+    const float up1 = d1 - q.r1, up2 = d2 - r2, down1 = -d1 - q.r1, down2 = -d2 - r2;
+    const float above = (up1 < up2 ? up1 : up2) - slabs.up[i];
+    const float below = (down1 < down2 ? down1 : down2) - slabs.down[i];
+    const float most = (above > below ? above : below) - q.margin;
+    gap[i] = most > gap[i] ? most : gap[i];
   }
-  Sphere bound{0.5 * (low + high), 0};
-  for (int i = 0; i < count; ++i)
-    bound.radius = std::max(bound.radius, (spheres[i].center - bound.center).norm() + spheres[i].radius);
-  return bound;
 }
 
-}  // namespace
-
-PALMAR_WIDE void ball_excess(const WideNode& node, float x, float y, float z, float reach, float* __restrict excess) {
+PALMAR_WIDE void slab_gaps(const WideNode& node, const WideSlabs& slabs, const BoxQuery& query, float* __restrict gap) {
+  const BoxQuery q = query;
   for (int i = 0; i < kWide; ++i) {
-    const float dx = node.x[i] - x, dy = node.y[i] - y, dz = node.z[i] - z;
-    const float sum = node.r[i] + reach;
-    excess[i] = dx * dx + dy * dy + dz * dz - sum * sum;
+    const float nx = slabs.nx[i], ny = slabs.ny[i], nz = slabs.nz[i];
+    const float d = nx * (q.cx - node.x[i]) + ny * (q.cy - node.y[i]) + nz * (q.cz - node.z[i]);
+    const float half = __builtin_fabsf(nx * q.m[0] + ny * q.m[1] + nz * q.m[2]) * q.hx +
+                       __builtin_fabsf(nx * q.m[3] + ny * q.m[4] + nz * q.m[5]) * q.hy +
+                       __builtin_fabsf(nx * q.m[6] + ny * q.m[7] + nz * q.m[8]) * q.hz;
+    const float above = d - slabs.up[i], below = -d - slabs.down[i];
+    const float most = (above > below ? above : below) - half - q.radius;
+    gap[i] = most > gap[i] ? most : gap[i];
+  }
+}
+
+PALMAR_WIDE void ball_gaps(const WideNode& node, const SlabBall& ball, float* __restrict gap) {
+  const SlabBall b = ball;
+  for (int i = 0; i < kWide; ++i) {
+    const float dx = node.x[i] - b.x, dy = node.y[i] - b.y, dz = node.z[i] - b.z;
+    const float square = dx * dx + dy * dy + dz * dz;
+    const float round = __builtin_sqrtf(square) - b.radius;
+    const float d = b.nx * dx + b.ny * dy + b.nz * dz;
+    const float off = square - d * d;
+    const float above = d - b.up, below = -d - b.down;
+    const float along = above > below ? above : below;
+    const float beside = __builtin_sqrtf(off > 0.0f ? off : 0.0f) - b.across;
+    // The positive parts without a branch.
+    const float a = 0.5f * (along + __builtin_fabsf(along)), s = 0.5f * (beside + __builtin_fabsf(beside));
+    const float flat = __builtin_sqrtf(a * a + s * s) - b.sphere_radius;
+    gap[i] = (flat > round ? flat : round) - node.r[i];
+  }
+}
+
+PALMAR_WIDE void pair_gaps(const WideNode& node, const WideFrame& frame, const WideNode& others, int count,
+                           float* __restrict gap, float* __restrict least) {
+  const WideFrame f = frame;
+  float x[kWide], y[kWide], z[kWide], r[kWide];
+  for (int i = 0; i < kWide; ++i) {
+    const float ox = node.x[i] - f.px, oy = node.y[i] - f.py, oz = node.z[i] - f.pz;
+    x[i] = f.m[0] * ox + f.m[1] * oy + f.m[2] * oz;
+    y[i] = f.m[3] * ox + f.m[4] * oy + f.m[5] * oz;
+    z[i] = f.m[6] * ox + f.m[7] * oy + f.m[8] * oz;
+    r[i] = node.r[i] + f.rounding;
+    least[i] = std::numeric_limits<float>::infinity();
+  }
+  for (int k = 0; k < count; ++k) {
+    const float cx = others.x[k], cy = others.y[k], cz = others.z[k], cr = others.r[k];
+    float* const row = gap + kWide * k;
+    for (int i = 0; i < kWide; ++i) {
+      const float dx = x[i] - cx, dy = y[i] - cy, dz = z[i] - cz;
+      const float g = __builtin_sqrtf(dx * dx + dy * dy + dz * dz) - (r[i] + cr);
+      row[i] = g;
+      least[i] = g < least[i] ? g : least[i];
+    }
   }
 }
 
@@ -149,7 +242,14 @@ std::int32_t WideTree::build(std::vector<std::uint32_t>& order, std::size_t begi
 
   const std::int32_t index = std::int32_t(nodes_.size());
   nodes_.emplace_back();
+  slabs_at_.push_back(-1);
   WideNode node;
+  WideSlabs slabs;
+  for (int p = 0; p < kWide; ++p) {
+    slabs.nx[p] = slabs.ny[p] = slabs.nz[p] = 0;
+    slabs.across[p] = slabs.radius[p] = 0;
+    slabs.up[p] = slabs.down[p] = std::numeric_limits<float>::infinity();
+  }
   std::array<Sphere, kWide> part;
   part.fill({Vec3::Zero(), 0});
   int used = 0;
@@ -161,6 +261,7 @@ std::int32_t WideTree::build(std::vector<std::uint32_t>& order, std::size_t begi
       part[used] = spheres[order[cut[p]]];
     } else {
       child = build(order, cut[p], cut[p + 1], spheres, part[used], depth + 1);
+      set_slab(slabs, used, part[used].center, &order[cut[p]], cut[p + 1] - cut[p], spheres, slack_);
     }
     node.x[used] = float(part[used].center.x());
     node.y[used] = float(part[used].center.y());
@@ -176,6 +277,10 @@ std::int32_t WideTree::build(std::vector<std::uint32_t>& order, std::size_t begi
     node.child[p] = 0;
   }
   nodes_[index] = node;
+  if (std::any_of(node.child, node.child + used, [](std::int32_t child) { return child >= 0; })) {
+    slabs_at_[index] = std::int32_t(slabs_.size());
+    slabs_.push_back(slabs);
+  }
   return index;
 }
 

@@ -273,7 +273,8 @@ def test_only_the_metrics_asked_for_are_worked_out(make_pack, make_run):
 def test_the_budget_of_operations_is_a_limit_where_the_solver_has_one(make_pack, make_run):
     used = np.array([10, 20, 30], dtype=np.uint32)
     run = make_run(3, palm_position_m=away(3), operations=used)
-    for settings, limit in (({}, None), ({"operations": 25}, 25)):
+    budget = {"solver": "progressive", "operations": 25}
+    for settings, limit in (({}, None), (budget, 25), (budget | {"solver": "paper"}, None)):
         rows, _ = measure(replace(run, header={"settings": json.dumps(settings)}), make_pack(FAR), "thing")
         row = next(row for row in rows if (row["metric"], row["stat"]) == ("step_operations", "max"))
         assert (row["value"], row["limit"]) == (30, limit)

@@ -5,10 +5,10 @@
 #include <functional>
 #include <random>
 
-#include "contacts.h"
 #include "made_hand.h"
 #include "made_objects.h"
 #include "qp.h"
+#include "search.h"
 
 namespace palmar::made {
 

@@ -1,6 +1,6 @@
 #include "check.h"
-#include "contacts.h"
 #include "made_hand.h"
+#include "search.h"
 
 using namespace palmar;
 

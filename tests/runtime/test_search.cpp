@@ -1,8 +1,8 @@
 #include <set>
 
 #include "check.h"
-#include "contacts.h"
 #include "made_hand.h"
+#include "search.h"
 
 using namespace palmar;
 

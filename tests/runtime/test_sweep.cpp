@@ -3,8 +3,8 @@
 // distance and kinematics of its own.
 #include "brute_force.h"
 #include "check.h"
-#include "contacts.h"
 #include "made_hand.h"
+#include "search.h"
 
 using namespace palmar;
 

@@ -34,7 +34,8 @@ enum {
   PALMAR_KEPT_PREVIOUS = 8,   /* no better pose could be verified */
   PALMAR_BAD_SAMPLE = 16,     /* the sample was not usable; the last good one stays */
   PALMAR_LIMIT = 32,          /* a joint limit clipped the sample */
-  PALMAR_RELEASING = 64       /* the hand was left behind and is led round the object; no force */
+  PALMAR_RELEASING = 64,      /* the hand was left behind and is led round the object; no force */
+  PALMAR_CONTACTS_CUT = 128   /* the step's list of contacts has no room for all of them */
 };
 
 typedef struct palmar_placement {
