@@ -51,37 +51,6 @@ Change variable_bounds(const HandModel& hand, const PerLink& motion) {
 
 }  // namespace
 
-Change programme_weights(const HandModel& hand, const Settings& settings) {
-  const double priority = settings.palm_priority, imposed = priority * settings.imposed_priority;
-  Change w;
-  for (int k = 0; k < 3; ++k) {
-    w[k] = priority * hand.palm_stiffness;
-    w[3 + k] = imposed * hand.palm_rotation_stiffness;
-  }
-  for (int f = 0; f < kFingers; ++f) {
-    const int v = kPalmVariables + kFingerVariables * f;
-    w[v] = imposed * hand.finger[f].stiffness[0];
-    for (int j = 0; j < kPhalanges; ++j) w[v + 1 + j] = hand.finger[f].stiffness[j];
-  }
-  return w;
-}
-
-Metric metric_of(const Change& weight) {
-  Metric metric;
-  for (int v = 0; v < kVariables; ++v) metric.set_diagonal(v, 1.0 / weight[v]);
-  return metric;
-}
-
-AngleRates angle_rates(const Configuration& haptic, const Configuration& before, double least) {
-  AngleRates rate;
-  for (int f = 0; f < kFingers; ++f) {
-    rate[kFingerVariables * f] = std::max(least, std::abs(haptic.abduction[f] - before.abduction[f]));
-    for (int j = 0; j < kPhalanges; ++j)
-      rate[kFingerVariables * f + 1 + j] = std::max(least, std::abs(haptic.flexion[f][j] - before.flexion[f][j]));
-  }
-  return rate;
-}
-
 // Places the hand at `q` and looks how it stands there. True if every gap is known and none is negative.
 bool Round::verify(const Configuration& q) {
   const auto start = Clock::now();

@@ -18,11 +18,6 @@ struct RoundEnd {
 // How far each angle may be from where the step began: its own rate, or the haptic hand's if that is faster. A finger
 // that comes free swings back to the haptic one instead of jumping. Abduction first, then flexions, finger by finger.
 using AngleRates = std::array<double, kVariables - kPalmVariables>;
-AngleRates angle_rates(const Configuration& haptic, const Configuration& before, double least);
-
-// The springs' stiffness, weighed by the settings' priorities.
-Change programme_weights(const HandModel& hand, const Settings& settings);
-Metric metric_of(const Change& weight);
 
 // One step's attempts to better the pose: what its rounds share.
 struct Round {
