@@ -21,7 +21,7 @@ struct Settings {
   int iterations = 4;           // linearise-solve-verify rounds in one step
   int corrections = 2;          // re-linearisations at a trial pose that sinks in, in one round
   int qp_iterations = 300;      // rows added or dropped in one programme
-  int operations = 50000;       // that one step may take, of about 15 ns each (contacts.h)
+  int operations = 35000;       // that one step may take, of about 15 ns each (contacts.h)
   int candidates = 2048;        // pairs that one link's list has room for
   double palm_priority = 1;     // how much rather a flexion yields than the palm's position; 1: as the springs have it
   double imposed_priority = 1;  // how much rather the palm's position yields than rotation and abduction; 1: likewise
