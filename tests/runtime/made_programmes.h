@@ -211,6 +211,7 @@ inline Programme of_a_hand(std::mt19937& rng, int trial) {
   // The lists of a hand at q; the smallest gap.
   const auto look = [&](const HandPlacement& at) {
     std::uint32_t visited = 0;
+    candidates.forget();  // of another object or place
     for (int link = 0; link < kLinks; ++link) gather_link(model, groups, near, at, link, margin, candidates, visited);
     return evaluate_gaps(model, candidates, at, gap.data());
   };

@@ -78,6 +78,7 @@ int main() {
         spheres.push_back(s);
     }
     const CollisionObject object(spheres);
+    candidates.forget();  // of another object
     std::uint32_t visited = 0;
     // Between two samples a link strays from them by less than a thousandth of the way.
     for (int link = 0; link < kLinks; ++link) {
