@@ -32,13 +32,17 @@ GapShape gap_shape(const HandModel& hand, const HandPlacement& at, int link, std
   }
   int count = kPalmVariables;
   Vec3 away, straight = Vec3::Zero();
+  double radius;
   const int finger = (link - 1) / kPhalanges, phalanx = (link - 1) % kPhalanges;
   if (link == 0) {
     away = at.rotation * hand.palm[palm_sphere].center + at.position - o;
+    radius = hand.palm[palm_sphere].radius;
   } else {
     const Capsule& c = at.phalanx[link - 1];
-    const Vec3 axis_point = capsule_sphere_gap(c, o, sphere.radius).axis, along = c.c2 - c.c1;
+    const CapsuleGap side = capsule_sphere_gap(c, o, sphere.radius);
+    const Vec3 axis_point = side.axis, along = c.c2 - c.c1;
     away = axis_point - o;
+    radius = side.radius;
     // On the side, not on one of the two balls at the ends.
     if (axis_point != c.c1 && (axis_point - c.c1).squaredNorm() < (1 - 1e-12) * along.squaredNorm()) straight = along;
     const auto add = [&](const Vec3& axis, const Vec3& joint) { motion[count++] = {axis, axis.cross(o - joint)}; };
@@ -49,6 +53,7 @@ GapShape gap_shape(const HandModel& hand, const HandPlacement& at, int link, std
   shape.finger = link == 0 ? -1 : finger;
   shape.count = count;
   const double distance = away.norm();
+  shape.gap = distance - radius - sphere.radius;
   const Vec3 n = distance > 0 ? Vec3(away / distance) : Vec3(0, 0, 1);
   straight -= straight.dot(n) * n;
   const double length = straight.norm();

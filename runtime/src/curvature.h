@@ -10,6 +10,7 @@ namespace palmar {
 // A pair's gap as a function of a change of the pose, to second order: its first derivatives by the variables that
 // move it, the palm's and, for a phalanx, its finger's.
 struct GapShape {
+  double gap;
   int finger;  // -1 for the palm
   int count;   // of the variables: 6 to 10
   double slope[kPalmVariables + kFingerVariables];

@@ -77,6 +77,14 @@ Forces follow(const Forces& felt, const Forces& spring, const ForceSteps& steps)
   return out;
 }
 
+Forces turned(const Forces& forces, const Quat& turn) {
+  Forces out = forces;
+  out.palm_force = turn * forces.palm_force;
+  out.palm_torque = turn * forces.palm_torque;
+  for (int f = 0; f < kFingers; ++f) out.fingertip[f] = turn * forces.fingertip[f];
+  return out;
+}
+
 Forces faded(const Forces& forces, double gain) {
   Forces out;
   out.palm_force = gain * forces.palm_force;

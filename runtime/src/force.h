@@ -28,6 +28,9 @@ ForceSteps force_steps(const HandModel& hand, const Configuration& haptic, const
 // `felt` moved towards `spring` by at most `steps`; equal to it, bit for bit, where that suffices.
 Forces follow(const Forces& felt, const Forces& spring, const ForceSteps& steps);
 
+// The same in another frame.
+Forces turned(const Forces& forces, const Quat& turn);
+
 // `gain` times each of them.
 Forces faded(const Forces& forces, double gain);
 

@@ -3,22 +3,18 @@
 #include <algorithm>
 #include <limits>
 
-#include "curvature.h"
-
 namespace palmar {
 
 namespace {
 
-constexpr int kRowRounds = 8;         // programmes in a round, each with the rows that the last one lacked,
-constexpr int kRowsNear = 32;         // rows that a link gets unasked, and as many more as lie within twice aim_m,
-constexpr int kRowsMore = 4;          // and at most so many more each time
-constexpr double kRowNear = kLook;    // metres: a pair this near gets a row before it is asked for
-constexpr double kLeastPivot = 0.01;  // of the stiffness that curvature has to leave
-constexpr double kBend = 0.015;       // metres: with curvature, a move by m leaves about m^2 / kBend to go,
-constexpr double kWithout = 0.1;      // without it about this share of m
-constexpr double kAcross = 1e3, kAcrossMore = 3e4;  // times the springs' stiffness across a contact, added
-constexpr int kAttempts = 3;                     // trial poses along one direction: all of it, a quarter, a sixteenth
-constexpr std::uint32_t kVerifyOperations = 75;  // but for the gaps
+constexpr int kRowRounds = 8;       // programmes in a round, each with the rows that the last one lacked,
+constexpr int kRowsNear = 32;       // rows that a link gets unasked, and as many more as lie within twice aim_m,
+constexpr int kRowsMore = 4;        // and at most so many more each time
+constexpr double kRowNear = kLook;  // metres: a pair this near gets a row before it is asked for
+constexpr double kBend = 0.015;     // metres: with curvature, a move by m leaves about m^2 / kBend to go,
+constexpr double kWithout = 0.1;    // without it about this share of m
+constexpr int kAttempts = 3;        // trial poses along one direction: all of it, a quarter, a sixteenth
+constexpr std::uint32_t kVerifyOperations = 75;      // but for the gaps
 constexpr std::uint32_t kProgrammeOperations = 225;  // but for
 constexpr std::uint32_t kRowOperations = 4;          // each row, and
 constexpr std::uint32_t kIterationOperations = 36;   // each iteration but for its rows
@@ -95,46 +91,6 @@ void Round::joint_room(const Configuration& q, Change& lower, Change& upper) con
     room(0, q.abduction[f], begin.abduction[f], finger.abduction_limit);
     for (int j = 0; j < kPhalanges; ++j) room(1 + j, q.flexion[f][j], begin.flexion[f][j], finger.flexion_limit[j]);
   }
-}
-
-// The second derivatives of the Lagrangian: the springs' stiffness less what the contacts' curvature, each with the
-// force that it last carried, takes from it. Convex is asked only along the contacts: across them and at joint limits,
-// where rows and bounds hold the answer anyway, stiffness is added, many times the springs' own. False where that does
-// not do either: there the hand is about to slip off.
-bool Round::bent_metric(const Change& way, Metric& metric) const {
-  if (state.pressing_count == 0 || scene.settings.curvature == 0) return false;
-  ArrowMatrix bent = ArrowMatrix::diagonal(weight);
-  std::array<GapShape, kVariables> shape;
-  std::array<double, kVariables> stiffness;  // of the springs across each contact
-  for (int k = 0; k < state.pressing_count; ++k) {
-    const Pressing& p = state.pressing[k];
-    GapShape& s = shape[k];
-    s = gap_shape(scene.hand, state.placement, p.link, p.palm_sphere, scene.object.leaves[p.object_sphere]);
-    double yield = 0;
-    for (int a = 0; a < s.count; ++a)
-      yield += s.slope[a] * s.slope[a] / weight[a < kPalmVariables ? a : a + kFingerVariables * s.finger];
-    stiffness[k] = 1 / yield;
-    add_shape(s, -scene.settings.curvature * p.multiplier, kAcross * stiffness[k], bent);
-  }
-  for (int v = 0; v < kVariables; ++v)
-    if (state.at_limit >> v & 1) bent.add_diagonal(v, kAcross * weight[v]);
-  // The energy of a turn by the vector w from the haptic hand, 1/2 k |w|^2, is flatter across w than along it.
-  const Vec3 turn(way[3], way[4], way[5]);
-  const double angle = turn.norm();
-  if (angle > 1e-6) {
-    const Vec3 axis = turn / angle;
-    const double flat = weight[3] * (1.0 - 0.5 * angle / std::tan(0.5 * angle));
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j <= i; ++j) bent.palm[3 + i][3 + j] -= flat * ((i == j) - axis[i] * axis[j]);
-  }
-  Change least;
-  for (int v = 0; v < kVariables; ++v) least[v] = kLeastPivot * weight[v];
-  if (Metric::of(bent, least, metric)) return true;
-  // Contacts that are nearly alike hold the directions in which they differ only weakly.
-  for (int k = 0; k < state.pressing_count; ++k) add_shape(shape[k], 0.0, kAcrossMore * stiffness[k], bent);
-  for (int v = 0; v < kVariables; ++v)
-    if (state.at_limit >> v & 1) bent.add_diagonal(v, kAcrossMore * weight[v]);
-  return Metric::of(bent, least, metric);
 }
 
 // Up to which gap the pairs of a link get a row unasked: kRowNear, or less where that would be many.
@@ -231,32 +187,42 @@ Configuration Round::moved(const Configuration& q, const Change& change, double 
   return to;
 }
 
-bool Round::remember_active(const QpResult& result) {
+Round::Contacts Round::remember_active(const QpResult& result) {
+  const auto before = state.pressing;
+  const int count_before = state.pressing_count;
+  const std::uint32_t at_limit_before = state.at_limit;
+  bool whole = true;
   work.active_count = 0;
+  state.pressing_count = 0;
   state.at_limit = 0;
   for (int j = 0; j < result.active; ++j) {
     const int row = result.active_row[j];
-    if (row >= 0) {
-      work.active[work.active_count++] = {work.row_candidate[row], result.multiplier[j]};
+    if (row < 0) {
+      const int variable = (-1 - row) / 2;
+      if (std::abs(result.x[variable]) < 1e-12)
+        state.at_limit |= 1u << variable;
+      else
+        whole = false;
       continue;
     }
-    const int variable = (-1 - row) / 2;
-    if (std::abs(result.x[variable]) < 1e-12) state.at_limit |= 1u << variable;
+    const int pair = work.row_candidate[row];
+    work.active[work.active_count++] = {pair, result.multiplier[j]};
+    state.pressing[state.pressing_count++] = {work.candidates.link_of(pair), work.candidates.object_sphere[pair],
+                                              work.candidates.palm_sphere[pair], result.multiplier[j]};
   }
-  const auto before = state.pressing;
-  const int count_before = state.pressing_count;
-  bool known = true;
-  state.pressing_count = work.active_count;
-  for (int k = 0; k < work.active_count; ++k) {
-    const int pair = work.active[k].candidate;
-    const Pressing now{work.candidates.link_of(pair), work.candidates.object_sphere[pair],
-                       work.candidates.palm_sphere[pair], work.active[k].multiplier};
-    state.pressing[k] = now;
-    known &= std::any_of(before.begin(), before.begin() + count_before, [&](const Pressing& p) {
-      return p.link == now.link && p.object_sphere == now.object_sphere && p.palm_sphere == now.palm_sphere;
+  const auto among = [](const Pressing& p, const auto& list, int count) {
+    return std::any_of(list.begin(), list.begin() + count, [&](const Pressing& q) {
+      return p.link == q.link && p.object_sphere == q.object_sphere && p.palm_sphere == q.palm_sphere;
     });
-  }
-  return known;
+  };
+  const auto all_among = [&](const auto& these, int count, const auto& list, int list_count) {
+    return std::all_of(these.begin(), these.begin() + count,
+                       [&](const Pressing& p) { return among(p, list, list_count); });
+  };
+  return {
+      all_among(state.pressing, state.pressing_count, before, count_before),
+      all_among(before, count_before, state.pressing, state.pressing_count) && (at_limit_before & ~state.at_limit) == 0,
+      whole};
 }
 
 void Round::publish() {
@@ -307,7 +273,7 @@ RoundEnd Round::run() {
   };
 
   // Along a programme's answer, or a quarter or a sixteenth of it, to a verified pose that costs less.
-  const auto advance_along = [&](const Change& step, double fraction, bool good, bool with_curvature) {
+  const auto advance_along = [&](const Change& step, double fraction, bool good, bool whole, bool with_curvature) {
     for (int attempt = 0; attempt < kAttempts; ++attempt) {
       const double from_start = largest_motion(scene.hand, start_placement, trial_placement);
       if (touching && from_start < scene.settings.settled_m) {
@@ -317,10 +283,11 @@ RoundEnd Round::run() {
       if (!good) good = restore(allowed);
       if (good && cost(weight, difference(haptic, trial)) < start_cost) {
         end.motion = largest_motion(scene.hand, start_placement, trial_placement);
-        end.left = end.motion * (fraction < 1 ? 1 : with_curvature ? end.motion / kBend : kWithout);
+        end.left = end.motion * (!whole || fraction < 1 ? 1 : with_curvature ? end.motion / kBend : kWithout);
         end.moved = end.motion > (touching ? scene.settings.settled_m : 0.0);
         end.failed = false;
         if (end.moved) publish();
+        for (int k = 0; k < work.active_count; ++k) end.slack = std::max(end.slack, work.gap[work.active[k].candidate]);
         return true;
       }
       end.failed = !good;
@@ -342,25 +309,20 @@ RoundEnd Round::run() {
     // With nothing in the way it is the haptic pose itself, so that a free hand is the haptic hand to the bit.
     double fraction = 1.0;
     const bool good = verify_within(step == way ? haptic : advance(start, step, 1.0), step, fraction);
-    advance_along(step, fraction, good, false);
+    advance_along(step, fraction, good, true, false);
     return end;
   }
 
   Metric bent;
-  const bool bends = bent_metric(way, bent);
-  for (bool with_curvature : {true, false}) {
-    if (with_curvature && !bends) continue;
-    Change wish = way;
-    if (with_curvature) {
-      for (int v = 0; v < kVariables; ++v) wish[v] *= weight[v];
-      wish = bent.inverse_times(wish);
-    }
+  Change bent_wish;
+  for (bool bends : {bend(way, bent, bent_wish), false}) {
     Change step;
     double fraction = 1.0;
-    bool good = false, known = false;
+    bool good = false;
+    Contacts contacts{};
     for (int k = 0; k < kRowRounds; ++k) {
-      const QpResult result = programme(start_placement, start, work.gap.data(), with_curvature ? bent : springs, wish,
-                                        allowed, near, false);
+      const QpResult result = programme(start_placement, start, work.gap.data(), bends ? bent : springs,
+                                        bends ? bent_wish : way, allowed, near, false);
       if (result.status != QpStatus::solved) {
         if (k > 0) break;  // some way along the last answer may do
         end.failed = true;
@@ -368,11 +330,16 @@ RoundEnd Round::run() {
       }
       step = result.x;
       fraction = 1.0;
-      known = remember_active(result);
+      contacts = remember_active(result);
+      // A contact that presses no more is held by nothing but what was added across it: again, without that.
+      if (bends && !contacts.kept && k + 1 < kRowRounds) {
+        bends = bend(way, bent, bent_wish);
+        continue;
+      }
       good = verify_within(moved(start, step, 1.0), step, fraction);
       if (good || !want_more_rows()) break;
     }
-    if (advance_along(step, fraction, good, with_curvature && known)) break;
+    if (advance_along(step, fraction, good, contacts.whole, bends && contacts.known) || !bends) break;
   }
   return end;
 }

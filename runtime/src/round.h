@@ -9,7 +9,8 @@ namespace palmar {
 struct RoundEnd {
   bool moved = false;
   double motion = 0;
-  double left = 0;  // an estimate of how far it still is to the best pose, metres
+  double left = 0;   // an estimate of how far it still is to the best pose, metres
+  double slack = 0;  // the largest gap of a pair that presses
   std::array<bool, kLinks> cut{};
   bool any_cut = false;
   bool failed = false;  // there was somewhere to go, and no pose on the way could be verified
@@ -42,15 +43,21 @@ struct Round {
   double excess(const HandPlacement& from, const HandPlacement& to, const PerLink& allowed) const;
   void joint_room(const Configuration& q, Change& lower, Change& upper) const;
   double near_limit(int link, const double* gap) const;
-  bool bent_metric(const Change& way, Metric& metric) const;
+  // The objective that knows how the pressing contacts bend, as its metric and its minimum; false if there is none.
+  bool bend(const Change& way, Metric& metric, Change& wish) const;
   QpResult programme(const HandPlacement& at, const Configuration& q, const double* gap, const Metric& metric,
                      const Change& wish, const PerLink& allowed, const PerLink& near, bool push_out);
   bool want_more_rows();
   void want_none();
   bool restore(const PerLink& allowed);
   Configuration moved(const Configuration& q, const Change& change, double share) const;
-  // Whether the contacts that press now are among those whose curvature the programme knew.
-  bool remember_active(const QpResult& result);
+  // What a programme's answer says beside the change: which contacts press, and whether more than they end it.
+  struct Contacts {
+    bool known;  // all that press now did before
+    bool kept;   // all that pressed before, joint limits with them, still do
+    bool whole;  // no bound on the length of a step ended it
+  };
+  Contacts remember_active(const QpResult& result);
   void publish();
 };
 

@@ -110,23 +110,62 @@ bool Session::free(const Configuration& q, HandPlacement& at) {
   return is_free(hand_, palm_, object_, at, work_.operations);
 }
 
-// The first pose: the haptic hand where it is free, else the nearest free place of the same hand found by moving it out
-// along 26 directions, growing steps, nearest first. True if it had to be moved.
-bool Session::start_at(const Configuration& haptic) {
+// Puts the graphic hand at q where that is free, else at the nearest free place of the same posture found by moving it
+// out along 26 directions, growing steps, nearest first; what is felt then begins anew. True if it had to be moved.
+bool Session::put_at(const Configuration& q) {
   state_.started = true;
   state_.reach.fill(settings_.reach_least_m);
-  state_.graphic = haptic;
-  if (free(haptic, state_.placement)) return false;
+  state_.graphic = q;
+  state_.pressing_count = 0;
+  state_.at_limit = 0;
+  state_.resting = false;
+  work_.candidates.forget();
+  work_.active_count = 0;
+  if (free(q, state_.placement)) return false;
+  gain_ = 0;
   // Beyond this the hand's ball and the object's ball are apart: the search always ends at a free place.
-  const double far = (haptic.position - object_.center).norm() + hand_.reach + object_.radius;
+  const double far = (q.position - object_.center).norm() + hand_.reach + object_.radius;
   for (double out = 5e-4; out < 2 * far + 1e-2; out *= 1.3) {
     for (int d = 0; d < 27; ++d) {
       const Vec3 direction(d % 3 - 1, d / 3 % 3 - 1, d / 9 - 1);
       if (direction.isZero()) continue;
-      state_.graphic.position = haptic.position + out * direction.normalized();
+      state_.graphic.position = q.position + out * direction.normalized();
       if (free(state_.graphic, state_.placement)) return true;
     }
   }
+  return true;
+}
+
+// A hand that was put outside is not yet as near as can be: what is shown shall not drift from there.
+void Session::come_near(double joint_step_rad) {
+  Settings settings = settings_;
+  settings.joint_step_rad = joint_step_rad;
+  for (int k = 0; k < kStartSteps; ++k) {
+    work_.operations = 0;
+    solve_({hand_, palm_, object_, settings}, haptic_, state_, work_);
+  }
+}
+
+// An object that an application puts elsewhere leaves the hand where it is in the world: the poses of the last step, as
+// the object sees them from its new place. One that only moves, however fast, pushes the hand: the solver sweeps it.
+// True if it was put elsewhere.
+bool Session::follow_object(const Placement& before) {
+  const Quat from = to_quat(before.rotation_wxyz).normalized(), to = to_quat(placed_.rotation_wxyz).normalized();
+  const Quat turn = to.conjugate() * from;
+  const Vec3 shift = to.conjugate() * (to_vec3(before.position_m) - to_vec3(placed_.position_m));
+  const Vec3 center = turn * object_.center + shift - object_.center;
+  if (center.norm() + rotation_log(turn).norm() * object_.radius <= settings_.object_jump_m) return false;
+  const auto seen = [&](Configuration q) {
+    q.position = turn * q.position + shift;
+    q.rotation = (turn * q.rotation).normalized();
+    return q;
+  };
+  state_.haptic = seen(state_.haptic);
+  haptic_before_ = seen(haptic_before_);
+  haptic_before_at_ = place_hand(hand_, haptic_before_);
+  felt_ = turned(felt_, turn);
+  release_ = {};
+  if (put_at(seen(state_.graphic))) come_near(settings_.joint_step_rad / kStartSteps);
   return true;
 }
 
@@ -145,6 +184,7 @@ const StepResult& Session::step(const Sample& sample) {
   std::uint32_t status = kOk;
   bool fading = true;
   if (usable(sample)) {
+    const Placement placed_before = placed_;
     placed_ = sample.object;
     haptic_pose_ = sample.pose;
     Configuration q = to_configuration(sample.pose);
@@ -161,17 +201,12 @@ const StepResult& Session::step(const Sample& sample) {
     if (!state_.started || !nearly_same(q, haptic_)) haptic_ = q;
     if (!state_.started) {
       state_.haptic = haptic_;
-      if (start_at(haptic_)) {
-        gain_ = 0;
-        // Outside, but not yet as near as can be: what is shown first shall not drift from there.
-        for (int k = 0; k < kStartSteps; ++k) {
-          work_.operations = 0;
-          solve_({hand_, palm_, object_, settings_}, haptic_, state_, work_);
-        }
-      }
+      if (put_at(haptic_)) come_near(settings_.joint_step_rad);
       work_.operations = 0;  // a budget is a step's; the search for a place to start has bounds of its own
       haptic_before_ = haptic_;
       haptic_before_at_ = place_hand(hand_, haptic_);
+    } else if (follow_object(placed_before)) {
+      work_.operations = 0;
     }
     const bool apart = (haptic_.position - state_.graphic.position).norm() > settings_.release_beyond_m;
     HandPlacement haptic_at;

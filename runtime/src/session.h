@@ -31,7 +31,9 @@ class Session {
   bool usable(const Sample& sample) const;
   Configuration inside_limits(Configuration q, bool& clipped) const;
   bool free(const Configuration& q, HandPlacement& at);
-  bool start_at(const Configuration& haptic);
+  bool put_at(const Configuration& q);
+  void come_near(double joint_step_rad);
+  bool follow_object(const Placement& before);
   double seconds_since_last(double time_s);
   void report(const Configuration& haptic, bool touching);
   std::uint64_t hash_state() const;

@@ -34,6 +34,7 @@ const std::vector<Key>& keys() {
       {"iterations", &Settings::iterations, 1, 1000},
       {"joint_step_rad", &Settings::joint_step_rad, 1e-4, 100},
       {"level", &Settings::level, -1, 64},
+      {"object_jump_m", &Settings::object_jump_m, 1e-3, 1e3},
       {"operations", &Settings::operations, 10'000, 1'000'000'000},
       {"palm_priority", &Settings::palm_priority, 1e-3, 1e6},
       {"qp_iterations", &Settings::qp_iterations, 1, 100'000},

@@ -28,13 +28,14 @@ struct Settings {
   double reach_least_m = 2e-4;  // how far around the hand a step looks, at least
   double reach_most_m = 3e-3;   // and at most while anything is within it
   double free_reach_m = 0.1;    // and where nothing is
-  double aim_m = 1e-6;          // gap that a linearised row asks for; what is published has gap >= 0
+  double aim_m = 1e-7;          // gap that a linearised row asks for; what is published has gap >= 0
   double curvature = 1;         // share of the contacts' curvature that the programme knows
   double joint_step_rad = 0.0174;  // an angle changes by at most this in a step, or by what the haptic one did if more
   double force_step_n = 0;         // above 0: forces follow the spring's at most so much a step faster than the
                                    // haptic hand's own motion explains
   double release_after_s = 0.5;    // a hand whose haptic one has been free for so long, and
   double release_beyond_m = 0.1;   // its palm farther away than this, is let go around the object
+  double object_jump_m = 0.05;     // an object that moves farther in one step has been put there, and does not push
   double fade_s = 0.1;  // forces fade to zero in this time when tracking is lost or a hand let go, and grow back
   std::string filter = "none";  // of the samples: none, one_euro
   double filter_cutoff_hz = 1;  // of one_euro at rest
