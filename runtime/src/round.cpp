@@ -121,7 +121,7 @@ QpResult Round::programme(const HandPlacement& at, const Configuration& q, const
   QpProblem problem;
   problem.metric = metric;
   problem.target = wish;
-  problem.bound = variable_bounds(scene.hand, allowed);
+  problem.bound = step_bound = variable_bounds(scene.hand, allowed);
   joint_room(q, problem.lower, problem.upper);
   work.operations += kProgrammeOperations + kRowOperations * std::uint32_t(work.rows.count);
   const std::uint32_t each = kIterationOperations + std::uint32_t(work.rows.count) / 8;
@@ -202,7 +202,7 @@ Round::Contacts Round::remember_active(const QpResult& result) {
       if (std::abs(result.x[variable]) < 1e-12)
         state.at_limit |= 1u << variable;
       else
-        whole = false;
+        whole &= std::abs(result.x[variable]) < 0.999 * step_bound[variable];  // or it is its rate that ends it
       continue;
     }
     const int pair = work.row_candidate[row];

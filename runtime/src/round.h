@@ -31,6 +31,7 @@ struct Round {
   Configuration begin;  // of the step
   AngleRates rate;
 
+  Change step_bound{};  // of the last programme
   Configuration trial{};
   HandPlacement trial_placement{};
   double trial_least = 0;    // its smallest gap

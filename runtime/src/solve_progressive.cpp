@@ -21,7 +21,7 @@ namespace {
 constexpr double kAhead = 2.0;               // a list looks farther than the step needs: by this share of it,
 constexpr double kAheadMost = 1e-3;          // and at most by this, metres
 constexpr double kLeft = 1e-6;               // metres; a step is done where no more than this is left to go
-constexpr double kSlack = 3e-7;              // metres that a pressing pair may stand off: force times them is energy
+constexpr double kSlack = 1e-6;              // metres that a pressing pair may stand off: force times them is energy
 constexpr int kPalmShares = 3;               // of a search's operations that are kept for the palm's, besides its own
 constexpr std::uint32_t kLeastRound = 7000;  // operations without which a further round does not begin
 constexpr int kEnough = 200;                 // pairs of one link beyond reach_least_m

@@ -28,7 +28,7 @@ struct Settings {
   double reach_least_m = 2e-4;  // how far around the hand a step looks, at least
   double reach_most_m = 3e-3;   // and at most while anything is within it
   double free_reach_m = 0.1;    // and where nothing is
-  double aim_m = 1e-7;          // gap that a linearised row asks for; what is published has gap >= 0
+  double aim_m = 2e-7;          // gap that a linearised row asks for; what is published has gap >= 0
   double curvature = 1;         // share of the contacts' curvature that the programme knows
   double joint_step_rad = 0.0174;  // an angle changes by at most this in a step, or by what the haptic one did if more
   double force_step_n = 0;         // above 0: forces follow the spring's at most so much a step faster than the
