@@ -66,7 +66,8 @@ def cost(folder: Path) -> list[str]:
         path = folder / f"{scene}-progressive.pack"
         run, pack = read_run(folder / f"{scene}-progressive.run.mcap"), load_pack(path)
         rows, _ = measure(run, pack, run.header["object"], reference=Reference(same_start(run, path), None))
-        excess.append([row["value"] for row in rows if row["metric"] == "cost_excess" and row["stat"] in ("mean", "p99")])
+        value = {row["stat"]: row["value"] for row in rows if row["metric"] == "cost_excess"}
+        excess.append([value["mean"], value["p99"]])
         touching = np.diff(run.contact_start) > 0
         at_limit.append((run.status[touching] & limit > 0).mean())
         cpu.append(np.percentile(run.cpu_us[touching], [50, 99]))

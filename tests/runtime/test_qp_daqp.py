@@ -23,8 +23,8 @@ def answers(program: Path) -> list[dict]:
 
 def daqp_answer(case: dict) -> tuple[np.ndarray | None, float]:
     """(x, sum of multipliers); x is None where DAQP says that there is none."""
-    # In y = L' x with L L' the objective's matrix the objective is 1/2 |y - y_target|^2: no weights to lose digits over.
-    # The bounds become rows like the others.
+    # In y = L' x with L L' the objective's matrix the objective is 1/2 |y - y_target|^2: no weights to lose digits
+    # over. The bounds become rows like the others.
     root = np.linalg.cholesky(np.array(case["stiffness"])).T
     rows = np.array(case["rows"])
     everything = np.linalg.solve(root.T, np.vstack([np.eye(len(root)), rows[:, :-1]]).T).T
