@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmar.errors import BadPack
-from palmar.model import FINGERS, JOINTS, HandModel
+from palmar.model import DEFAULT_COUPLING, FINGERS, JOINTS, HandModel
 from palmar.tools.spheres_csv import read_spheres_csv
 from palmar.tools.toml_file import check_keys, get_number, get_text, is_number, read_toml
 
@@ -26,7 +26,7 @@ STIFFNESS = {"palm_n_per_m": 1000.0, "palm_rotation_n_m_per_rad": 10.0, "joint_n
 SHORT_KEYS = ("base_m", "direction", "length_m")
 LONG_KEYS = ("joint_m", "phalanx_m")
 AXIS_KEYS = ("flexion_axis", "bends_towards")
-FINGER_KEYS = (*SHORT_KEYS, *LONG_KEYS, *AXIS_KEYS, "name", "abduction_axis", "radius_m")
+FINGER_KEYS = (*SHORT_KEYS, *LONG_KEYS, *AXIS_KEYS, "name", "abduction_axis", "radius_m", "coupling")
 LIMIT_KEYS = tuple(f"{kind}_limit_{unit}" for kind in ("flexion", "abduction") for unit in ("deg", "rad"))
 
 
@@ -86,6 +86,7 @@ def _make_hand(file: str, folder: Path, table: dict[str, Any], content: bytes) -
         joint_stiffness_n_m_per_rad=np.full((5, 3), stiffness["joint_n_m_per_rad"]),
         palm_stiffness_n_per_m=np.array([stiffness["palm_n_per_m"]]),
         palm_rotation_stiffness_n_m_per_rad=np.array([stiffness["palm_rotation_n_m_per_rad"]]),
+        flexion_coupling=np.stack([part["flexion_coupling"] for part in parts]),
         about=about,
     )
     _check_hand(file, hand)
@@ -142,6 +143,7 @@ def _read_finger(where: str, table: Any, name: str) -> dict[str, Any]:
         "abduction_axis": _unit(where, table, "abduction_axis", (3,)) if "abduction_axis" in table else None,
         "flexion_limit_rad": _read_limits(where, table, "flexion", (3, 2)),
         "abduction_limit_rad": _read_limits(where, table, "abduction", (2,)),
+        "flexion_coupling": _read_coupling(where, table, FINGERS.index(name)),
     }
 
 
@@ -188,6 +190,16 @@ def _read_limits(where: str, table: dict[str, Any], kind: str, shape: tuple[int,
     if not (limit[..., 0] < limit[..., 1]).all() or np.abs(limit).max() > np.pi:
         raise BadPack("E-CONF", f"{where}.{key}", f"{table[key]}; lowest below highest, within half a turn, is needed")
     return limit
+
+
+def _read_coupling(where: str, table: dict[str, Any], finger: int) -> Array:
+    """PIP per MCP and DIP per PIP (2,)."""
+    if "coupling" not in table:
+        return np.array(DEFAULT_COUPLING[finger])
+    coupling = _numbers(where, table, "coupling", (2,))
+    if not ((coupling > 0) & (coupling <= 10)).all():
+        raise BadPack("E-CONF", f"{where}.coupling", f"{table['coupling']}; above 0 and up to 10 is needed")
+    return coupling
 
 
 def _read_palm(where: str, folder: Path, table: Any) -> tuple[Array, str]:

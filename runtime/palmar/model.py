@@ -21,6 +21,14 @@ PACK_SCHEMA = "palmar.pack/1"
 
 Array = NDArray[np.float64]
 
+# PIP per MCP and DIP per PIP of each finger; why these numbers: docs/hand_toml.md.
+DEFAULT_COUPLING = ((1.0, 1.6), (1.11, 0.667), (1.11, 0.667), (1.11, 0.667), (1.11, 0.667))
+
+
+def default_coupling() -> Array:
+    """`flexion_coupling` of a hand that gives none."""
+    return np.array(DEFAULT_COUPLING)
+
 
 @dataclass(frozen=True)
 class HandModel:
@@ -37,6 +45,7 @@ class HandModel:
     joint_stiffness_n_m_per_rad: Array  # (5, 3)
     palm_stiffness_n_per_m: Array  # (1,)
     palm_rotation_stiffness_n_m_per_rad: Array  # (1,)
+    flexion_coupling: Array = field(default_factory=default_coupling)  # (5, 2), see palmar.coupling
     about: dict[str, Any] = field(default_factory=dict)  # name, side, source, sha256
 
 
@@ -52,7 +61,10 @@ HAND_SHAPES: dict[str, tuple[int | None, ...]] = {
     "joint_stiffness_n_m_per_rad": (5, 3),
     "palm_stiffness_n_per_m": (1,),
     "palm_rotation_stiffness_n_m_per_rad": (1,),
+    "flexion_coupling": (5, 2),
 }
+# Packs from before there was a coupling lack it; they get the default.
+MAY_BE_MISSING = {"hand/flexion_coupling"}
 
 
 @dataclass(frozen=True)
@@ -131,7 +143,8 @@ def load_pack(path: str | Path) -> AssetPack:
         raise BadPack("E-PACK-FORMAT", where, "no manifest under the metadata key `palmar`") from None
     _check(where, tensors, manifest)
 
-    hand = HandModel(**{name: tensors[f"hand/{name}"] for name in HAND_SHAPES}, about=manifest["hand"])
+    parts = {name: tensors[f"hand/{name}"] for name in HAND_SHAPES if f"hand/{name}" in tensors}
+    hand = HandModel(**parts, about=manifest["hand"])
     objects = {}
     for name, about in manifest["objects"].items():
         count = len(about["levels"])
@@ -175,6 +188,8 @@ def _check(where: str, tensors: dict[str, NDArray[Any]], manifest: dict[str, Any
             expected[f"object/{name}/level_{k}/parent"] = ((None,), "int32")
         expected[f"object/{name}/vertices_m"] = ((None, 3), "float64")
         expected[f"object/{name}/faces"] = ((None, 3), "int32")
+    for name in MAY_BE_MISSING - tensors.keys():
+        del expected[name]
     for name in expected.keys() - tensors.keys():
         raise BadPack("E-PACK-MISSING", f"{where}:{name}", "tensor is not in the file")
     for name in tensors.keys() - expected.keys():
