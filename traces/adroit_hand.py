@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from palmar.errors import BadTrace, PalmarError
 from palmar.model import FINGERS, HandModel
-from palmar.traces.kinematics import Array, finger_points, fit_finger
+from palmar.traces.inverse import fit_finger
+from palmar.traces.kinematics import Array, finger_points
 
 # Abduction, then flexions, and the sign that makes a positive flexion close the finger.
 FINGER_JOINTS: dict[str, tuple[tuple[str, int], ...]] = {
@@ -145,7 +146,7 @@ def fit_angles(chain: Chain, hand: HandModel, angles_rad: dict[str, Array]) -> t
         angles = np.stack([sign * angles_rad[name] for name, sign in FINGER_JOINTS[finger]], axis=1)
         points = chain_points(chain, poses, finger)
         if finger in ("thumb", "little"):
-            angles = fit_finger(hand, f, points, angles)
+            angles = fit_finger(hand, f, points, near_rad=angles)
         fitted.append(angles)
         tip_error_m.append(np.linalg.norm(finger_points(hand, f, angles)[:, 2] - points[:, 2], axis=1))
     angles = np.stack(fitted, axis=1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -9,10 +11,6 @@ from scipy.spatial.transform import Rotation
 from palmar.model import HandModel
 
 Array = NDArray[np.float64]
-
-# A radian away from the start counts like 3 cm of miss. Without it a curled or a straight finger, whose points hardly
-# feel one of the angles, turned three times as fast as the recorded one did.
-KEEP_M_PER_RAD = 0.03
 
 
 def turn_finger(hand: HandModel, finger: int, angles_rad: Array) -> tuple[Array, Array]:
@@ -50,19 +48,36 @@ def phalanges_in_palm(hand: HandModel, flexion_rad: Array, abduction_rad: Array)
     return np.stack(fingers, axis=1)
 
 
-def finger_points(hand: HandModel, finger: int, angles_rad: Array) -> Array:
-    """Second joint, third joint and tip (E of the last frustum) of one finger in the palm frame.
+def finger_points(
+    hand: HandModel,
+    finger: int,
+    angles_rad: Array,
+    points_m: Array | None = None,
+    phalanx: Sequence[int] = (0, 1, 2),
+) -> Array:
+    """Where points that are fixed to phalanges of one finger are, in the palm frame.
 
-    angles_rad: (n, 4): abduction, then the three flexions. Returns (n, 3, 3), metres.
+    angles_rad: (n, 4): abduction, then the three flexions. points_m: (m, 3) at the zero pose, one on each `phalanx`;
+    left out, they are the second joint, the third joint and the tip (E of the last frustum). Returns (n, m, 3), metres.
     """
+    points_m = joint_points(hand, finger) if points_m is None else points_m
     rotation, translation = turn_finger(hand, finger, angles_rad)
-    return np.einsum("nkij,kj->nki", rotation, _zero_points(hand, finger)) + translation
+    on = list(phalanx)
+    return np.einsum("nkij,kj->nki", rotation[:, on], points_m) + translation[:, on]
 
 
-def finger_jacobian(hand: HandModel, finger: int, angles_rad: Array) -> Array:
-    """Derivative of `finger_points` by abduction and flexions: (n, 3, 3, 4), metres per radian."""
+def finger_jacobian(
+    hand: HandModel,
+    finger: int,
+    angles_rad: Array,
+    points_m: Array | None = None,
+    phalanx: Sequence[int] = (0, 1, 2),
+) -> Array:
+    """Derivative of `finger_points` by abduction and flexions: (n, m, 3, 4), metres per radian."""
+    points_m = joint_points(hand, finger) if points_m is None else points_m
     rotation, translation = turn_finger(hand, finger, angles_rad)
-    points = np.einsum("nkij,kj->nki", rotation, _zero_points(hand, finger)) + translation
+    on = list(phalanx)
+    points = np.einsum("nkij,kj->nki", rotation[:, on], points_m) + translation[:, on]
     # A turn leaves its own axis alone, so the pose of phalanx k also carries axis and centre of joint k.
     axis = np.einsum("nkij,kj->nki", rotation, hand.flexion_axis[finger])
     centre = np.einsum("nkij,kj->nki", rotation, hand.joint_m[finger]) + translation
@@ -70,47 +85,25 @@ def finger_jacobian(hand: HandModel, finger: int, angles_rad: Array) -> Array:
     axis = np.concatenate([np.broadcast_to(hand.abduction_axis[finger], first), axis], axis=1)
     centre = np.concatenate([np.broadcast_to(hand.joint_m[finger, 0], first), centre], axis=1)
     lever = np.cross(axis[:, None], points[:, :, None] - centre[:, None])  # (n, point, angle, 3)
-    moves = np.tri(3, 4, 1)  # point k lies on phalanx k, which abduction and flexions 0 to k turn
+    moves = np.tri(3, 4, 1)[on]  # a point on phalanx k is turned by abduction and flexions 0 to k
     return np.swapaxes(lever * moves[:, :, None], 2, 3)
 
 
-def fit_finger(hand: HandModel, finger: int, points_m: Array, start_rad: Array) -> Array:
-    """Angles inside the model's limits that bring the finger nearest to its wanted points, least squares a frame.
+def joint_points(hand: HandModel, finger: int) -> Array:
+    """Second joint, third joint and tip at the zero pose, (3, 3) metres: on phalanges 0, 1 and 2."""
+    return np.stack([hand.joint_m[finger, 1], hand.joint_m[finger, 2], hand.phalanx_m[finger, 2, 1]])
 
-    points_m: (n, 3, 3) wanted second joint, third joint and tip in the palm frame; start_rad: (n, 4), near which the
-    angles are held (KEEP_M_PER_RAD). Projected Levenberg-Marquardt, all frames at once. Returns (n, 4) radians.
+
+def palm_axes(hand: HandModel) -> Array:
+    """Columns palmar, distal and radial, in the palm frame (3, 3), whatever the hand's own axes are.
+
+    Distal is where the middle finger points; palmar is where its tip moves when it flexes; radial is across both.
     """
-    limit = np.vstack([hand.abduction_limit_rad[finger], hand.flexion_limit_rad[finger]])
-    low, high = limit[:, 0], limit[:, 1]
-    count = len(points_m)
-    keep = KEEP_M_PER_RAD * np.eye(4)
-
-    def residual(angles: Array) -> Array:
-        miss = (finger_points(hand, finger, angles) - points_m).reshape(count, 9)
-        return np.concatenate([miss, (angles - start_rad) @ keep], axis=1)
-
-    angles = np.clip(start_rad, low, high)
-    error = residual(angles)
-    damping = np.full(count, 1e-3)
-    for _ in range(30):
-        by_points = finger_jacobian(hand, finger, angles).reshape(count, 9, 4)
-        jacobian = np.concatenate([by_points, np.broadcast_to(keep, (count, 4, 4))], axis=1)
-        gradient = np.einsum("nij,ni->nj", jacobian, error)
-        # An angle at its limit that wants to go farther stays out of the step.
-        free = ~((angles <= low) & (gradient > 0) | (angles >= high) & (gradient < 0))
-        hessian = np.einsum("nij,nik->njk", jacobian, jacobian) * free[:, :, None] * free[:, None, :]
-        lever2_m2 = 1e-3  # of the size of the hessian, so that the damping has no unit
-        hessian += np.eye(4) * np.where(free, damping[:, None] * lever2_m2, 1.0)[:, :, None]
-        move = np.linalg.solve(hessian, -(gradient * free)[..., None])[..., 0]
-        proposal = np.clip(angles + move, low, high)
-        proposed = residual(proposal)
-        better = (proposed**2).sum(1) <= (error**2).sum(1)
-        angles = np.where(better[:, None], proposal, angles)
-        error = np.where(better[:, None], proposed, error)
-        damping = np.clip(damping * np.where(better, 0.1, 10.0), 1e-12, 1e6)
-        if np.abs(move).max() < 1e-9:
-            break
-    return angles
+    distal = hand.phalanx_m[2, 0, 1] - hand.phalanx_m[2, 0, 0]
+    distal = distal / np.linalg.norm(distal)
+    palmar = np.cross(hand.flexion_axis[2, 0], distal)
+    palmar = palmar / np.linalg.norm(palmar)
+    return np.column_stack([palmar, distal, np.cross(palmar, distal)])
 
 
 def rotate(rotation_wxyz: Array, vectors: Array) -> Array:
@@ -130,7 +123,3 @@ def multiply(a_wxyz: Array, b_wxyz: Array) -> Array:
 def conjugate(q_wxyz: Array) -> Array:
     """The inverse of unit quaternions (..., 4)."""
     return q_wxyz * np.array([1.0, -1.0, -1.0, -1.0])
-
-
-def _zero_points(hand: HandModel, finger: int) -> Array:
-    return np.stack([hand.joint_m[finger, 1], hand.joint_m[finger, 2], hand.phalanx_m[finger, 2, 1]])

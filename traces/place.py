@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from palmar.errors import PalmarError
 from palmar.model import HandModel
-from palmar.traces.kinematics import Array, phalanges_in_palm
+from palmar.traces.kinematics import Array, palm_axes, phalanges_in_palm
 
 SEARCH_STEPS, CLOSING_STEPS = 9, 65  # closings tried between open and fist, to choose the side and to place the fingers
 ANCHORS_M = (0.0, -0.02, -0.04)  # how far towards the wrist from the knuckles the object's middle may lie
@@ -81,18 +81,6 @@ def place_grasp(closing: Closing, leaves: Array, vary_m: Array, vary_rad: Array)
         grasp = _grasp(closing, leaves, rotation, target, anchor_m, np.zeros(2), CLOSING_STEPS)
     assert grasp is not None
     return grasp
-
-
-def palm_axes(hand: HandModel) -> Array:
-    """Columns palmar, distal and radial, in the palm frame (3, 3), whatever the hand's own axes are.
-
-    Distal is where the middle finger points; palmar is where its tip moves when it flexes; radial is across both.
-    """
-    distal = hand.phalanx_m[2, 0, 1] - hand.phalanx_m[2, 0, 0]
-    distal = distal / np.linalg.norm(distal)
-    palmar = np.cross(hand.flexion_axis[2, 0], distal)
-    palmar = palmar / np.linalg.norm(palmar)
-    return np.column_stack([palmar, distal, np.cross(palmar, distal)])
 
 
 def _box_rotations() -> list[Array]:
