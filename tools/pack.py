@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from palmar.errors import BadMesh, BadPack, PalmarError
 from palmar.model import AssetPack, HandModel, SphereTree, save_pack
+from palmar.profile import fit_to_profile
 from palmar.tools.close import close_mesh, require_closed
 from palmar.tools.cover import level_errors
-from palmar.tools.hand_file import default_hand, read_hand
+from palmar.tools.default_hands import find_hand, is_default
 from palmar.tools.hierarchy import levels_over
 from palmar.tools.mesh import Mesh, read_mesh
+from palmar.tools.profile_file import read_profile
 from palmar.tools.shapes import SHAPES
 from palmar.tools.sphere_tree import MODES, build_levels
 from palmar.tools.spheres_csv import read_spheres_csv
@@ -61,6 +63,7 @@ def build(
     spheres: int | None = None,
     mode: str = "balanced",
     hand_path: str | Path | None = None,
+    profile_path: str | Path | None = None,
     spheres_csv: str | Path | None = None,
     csv_units: str = "m",
     seed: int = 0,
@@ -68,7 +71,8 @@ def build(
 ) -> dict[str, Any]:
     """Build a pack of meshes, of built-in shapes (`shape:NAME`), or of the objects that one TOML file lists.
 
-    With a TOML file the other arguments stand for what it leaves open. Returns what `build_pack` does.
+    With a TOML file the other arguments stand for what it leaves open. hand_path: a hand TOML or the name of a built-in
+    hand; profile_path: whom it is made to fit. Returns what `build_pack` does.
     Raises BadMesh, BadPack or PalmarError; nothing is written then.
     """
     csv = None if spheres_csv is None else str(spheres_csv)
@@ -82,7 +86,9 @@ def build(
         if csv and len(meshes) > 1:
             raise PalmarError("E-CONF", "--spheres-csv", f"{len(meshes)} meshes; spheres are of one mesh")
         sources = [replace(given, name=_name_of(str(mesh)), mesh=str(mesh)) for mesh in meshes]
-    hand = default_hand() if hand_path is None else read_hand(hand_path)
+    hand = find_hand(hand_path)
+    if profile_path is not None:
+        hand = fit_to_profile(hand, read_profile(profile_path))
     return build_pack(sources, out, hand=hand, seed=seed, progress=progress)
 
 
@@ -207,7 +213,10 @@ def read_assets(path: str | Path, given: Source) -> tuple[list[Source], Path | N
         changes["name"] = get_text(at, row, "name") if "name" in row else _name_of(mesh)
         changes["mesh"] = mesh if mesh.startswith(SHAPE) else str(folder / mesh)
         sources.append(replace(given, **changes))
-    return sources, folder / get_text(where, table, "hand") if "hand" in table else None
+    if "hand" not in table:
+        return sources, None
+    hand = get_text(where, table, "hand")
+    return sources, Path(hand) if is_default(hand) else folder / hand
 
 
 def _check_source(source: Source) -> None:

@@ -94,18 +94,6 @@ def joint_points(hand: HandModel, finger: int) -> Array:
     return np.stack([hand.joint_m[finger, 1], hand.joint_m[finger, 2], hand.phalanx_m[finger, 2, 1]])
 
 
-def palm_axes(hand: HandModel) -> Array:
-    """Columns palmar, distal and radial, in the palm frame (3, 3), whatever the hand's own axes are.
-
-    Distal is where the middle finger points; palmar is where its tip moves when it flexes; radial is across both.
-    """
-    distal = hand.phalanx_m[2, 0, 1] - hand.phalanx_m[2, 0, 0]
-    distal = distal / np.linalg.norm(distal)
-    palmar = np.cross(hand.flexion_axis[2, 0], distal)
-    palmar = palmar / np.linalg.norm(palmar)
-    return np.column_stack([palmar, distal, np.cross(palmar, distal)])
-
-
 def rotate(rotation_wxyz: Array, vectors: Array) -> Array:
     """Vectors (..., 3) turned by unit quaternions (..., 4), broadcast against each other."""
     w, u = rotation_wxyz[..., :1], rotation_wxyz[..., 1:]

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from palmar.errors import PalmarError
 from palmar.model import HandModel
-from palmar.traces.kinematics import Array, palm_axes, phalanges_in_palm
+from palmar.profile import palm_axes
+from palmar.traces.kinematics import Array, phalanges_in_palm
 
 SEARCH_STEPS, CLOSING_STEPS = 9, 65  # closings tried between open and fist, to choose the side and to place the fingers
 ANCHORS_M = (0.0, -0.02, -0.04)  # how far towards the wrist from the knuckles the object's middle may lie

@@ -20,11 +20,18 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+HandName = Annotated[
+    str | None,
+    typer.Option("--hand", help="Hand as TOML, or default, default:female-5, -50, -95, default:male-5, -50, -95."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
 OutFile = Annotated[Path, typer.Option("--out", "-o", help="File to write.")]
 OutFolder = Annotated[Path, typer.Option("--out", "-o", help="Folder to write to; made if it is not there.")]
 Object = Annotated[str, typer.Option("--object", help="Name of the object; needed if the pack has several.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Same seed, same bytes.")]
+UserProfile = Annotated[
+    Path | None, typer.Option("--profile", help="User profile (`palmar calibrate`) that the hand is made to fit.")
+]
 
 
 def complain(line: str, code: int) -> int:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from palmar.cli_app import Json, OutFile, OutFolder, Seed, app
+from palmar.cli_app import HandName, Json, OutFile, OutFolder, Seed, UserProfile, app
 
 
 @app.command()
@@ -42,7 +42,8 @@ def build(
     mode: Annotated[
         str, typer.Option(help="balanced: least error both ways; inside: nothing sticks out; outside: covers the mesh.")
     ] = "balanced",
-    hand: Annotated[Path | None, typer.Option(help="Hand as TOML; the default hand if left out.")] = None,
+    hand: HandName = None,
+    profile: UserProfile = None,
     spheres_csv: Annotated[
         Path | None, typer.Option(help="Leaf spheres x, y, z, radius as they are, of the one mesh given.")
     ] = None,
@@ -66,6 +67,7 @@ def build(
             spheres=spheres,
             mode=mode,
             hand_path=hand,
+            profile_path=profile,
             spheres_csv=spheres_csv,
             csv_units=csv_units,
             seed=seed,

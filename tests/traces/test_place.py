@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from palmar.errors import PalmarError
-from palmar.traces.kinematics import palm_axes, phalanges_in_palm
+from palmar.profile import palm_axes
+from palmar.traces.kinematics import phalanges_in_palm
 from palmar.traces.place import Closing, place_grasp
 
 OPENED = np.array([[0.0, 0.05, 0.05], *[[0.1, 0.1, 0.08]] * 4])
