@@ -6,6 +6,7 @@ import csv
 import difflib
 import hashlib
 import io
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +22,10 @@ UNIT_TOLERANCE = 1e-3  # a quaternion farther from unit length than this was not
 
 @dataclass(frozen=True)
 class Log:
-    """Columns of a log by name, each (n,) float64, finite; `lines` counts the header as line 1."""
+    """Columns of a log by name, each (n,) float64, finite, or NaN where a field may be empty and is.
+
+    Lines are counted from the header, which is line 1.
+    """
 
     where: str
     sha256: str
@@ -37,8 +41,17 @@ def read_header(path: Path) -> list[str]:
     return _split(path, _text(path)[0])[0]
 
 
-def read_log(path: str | Path, required: list[str], time_column: str) -> Log:
+def read_log(
+    path: str | Path,
+    required: list[str],
+    time_column: str,
+    *,
+    optional: Sequence[str] = (),
+    may_be_empty: Collection[str] = (),
+) -> Log:
     """Read a whole log of finite numbers in which time increases.
+
+    optional: columns that may be there too. may_be_empty: columns whose fields may be empty; they are NaN then.
 
     Raises BadTrace: E-TRACE-MISSING (no file), E-TRACE-FORMAT (not text), E-TRACE-EMPTY (no rows), E-TRACE-COLUMNS (a
     column is missing, unknown or doubled, or a line has too few fields), E-TRACE-VALUE (not a finite number, or the
@@ -47,7 +60,7 @@ def read_log(path: str | Path, required: list[str], time_column: str) -> Log:
     path = Path(path)
     text, sha256 = _text(path)
     rows = _split(path, text)
-    _check_names(path, rows[0], required)
+    _check_names(path, rows[0], required, optional)
     names, rows = rows[0], rows[1:]
     if not rows:
         raise BadTrace("E-TRACE-EMPTY", str(path), "only a header line; at least one row of numbers is needed")
@@ -62,15 +75,19 @@ def read_log(path: str | Path, required: list[str], time_column: str) -> Log:
             raise BadTrace(
                 "E-TRACE-COLUMNS", f"{path}:line {i + 2}", f"{len(row)} fields; the header names {len(names)} columns"
             )
+    gaps = [name in may_be_empty for name in names]
+    empty = np.array([[gap and not field for gap, field in zip(gaps, row, strict=True)] for row in rows])
+    filled = [["0" if e else field for e, field in zip(*pair, strict=True)] for pair in zip(empty, rows, strict=True)]
     try:
-        table = np.array(rows, dtype=np.float64)
+        table = np.array(filled, dtype=np.float64)
     except ValueError:
         table = np.array(
-            [[_number(path, i, n, v) for n, v in zip(names, row, strict=True)] for i, row in enumerate(rows)]
+            [[_number(path, i, n, v) for n, v in zip(names, row, strict=True)] for i, row in enumerate(filled)]
         )
     if not np.isfinite(table).all():
         i, j = np.argwhere(~np.isfinite(table))[0]
         raise _bad_value(path, int(i), names[j], rows[i][j])
+    table[empty] = np.nan
     time = table[:, names.index(time_column)]
     late = np.flatnonzero(np.diff(time) <= 0)
     if late.size:
@@ -129,18 +146,19 @@ def _split(path: Path, text: str) -> list[list[str]]:
     return [[field.strip() for field in row] for row in rows]
 
 
-def _check_names(path: Path, names: list[str], required: list[str]) -> None:
+def _check_names(path: Path, names: list[str], required: list[str], optional: Sequence[str]) -> None:
     where = f"{path}:line 1"
     doubled = sorted({name for name in names if names.count(name) > 1})
     if doubled:
         raise BadTrace("E-TRACE-COLUMNS", where, f"column {doubled[0]!r} stands there twice")
     missing = [name for name in required if name not in names]
-    unknown = [name for name in names if name not in required]
+    known = [*required, *optional]
+    unknown = [name for name in names if name not in known]
     if missing:
         found = f"; unknown here: {', '.join(unknown[:5])}" if unknown else ""
         raise BadTrace("E-TRACE-COLUMNS", where, f"column {', '.join(missing[:5])} is missing{found}")
     if unknown:
-        raise BadTrace("E-TRACE-COLUMNS", where, f"unknown column {unknown[0]!r}{nearest(unknown[0], required)}")
+        raise BadTrace("E-TRACE-COLUMNS", where, f"unknown column {unknown[0]!r}{nearest(unknown[0], known)}")
 
 
 def _number(path: Path, i: int, name: str, value: str) -> float:

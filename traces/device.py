@@ -9,20 +9,30 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from palmar.errors import BadTrace, PalmarError
-from palmar.model import write_whole
+from palmar.model import HandModel, write_whole
+from palmar.profile import Profile
 from palmar.records import Trace, write_trace
 from palmar.traces.adroit_door import COLUMNS as ADROIT_DOOR_COLUMNS
 from palmar.traces.adroit_door import read_adroit_door
 from palmar.traces.adroit_hand import adroit_hand_toml
 from palmar.traces.columns import nearest, read_header
+from palmar.traces.leap import COLUMNS as LEAP_COLUMNS
+from palmar.traces.leap import read_leap
+from palmar.traces.optical_glove import COLUMNS as OPTICAL_COLUMNS
+from palmar.traces.optical_glove import read_optical_glove
+from palmar.traces.readings import apply_readings
+from palmar.traces.recording import Recording
 from palmar.traces.scenario_csv import COLUMNS as SCENARIO_COLUMNS
 from palmar.traces.scenario_csv import read_scenario_csv
+from palmar.traces.solve import solve_recording
+from palmar.traces.webxr import COLUMNS as WEBXR_COLUMNS
+from palmar.traces.webxr import read_webxr
 
 
 class Device(NamedTuple):
     """A format: how to read it, what it is, and the header row that gives it away."""
 
-    read: Callable[..., Trace]
+    read: Callable[..., Trace | Recording]
     about: str
     columns: list[str]
 
@@ -34,6 +44,11 @@ DEVICES: dict[str, Device] = {
     "adroit-door": Device(
         read_adroit_door, "CyberGlove demonstrations of the Adroit hand at a door", ADROIT_DOOR_COLUMNS
     ),
+    "webxr": Device(read_webxr, "WebXR hand tracking, such as a Quest 3's: 25 joint poses a row", WEBXR_COLUMNS),
+    "leap": Device(read_leap, "Leap Motion: palm and finger joints a row", LEAP_COLUMNS),
+    "optical-glove": Device(
+        read_optical_glove, "motion capture of a glove: three markers on the back, two a finger", OPTICAL_COLUMNS
+    ),
 }
 # Not a trace: the hand that a device's angles are of, as hand TOML.
 HANDS: dict[str, tuple[Callable[..., str], str]] = {
@@ -41,21 +56,52 @@ HANDS: dict[str, tuple[Callable[..., str], str]] = {
 }
 
 
-def import_file(path: str | Path, out: str | Path, *, format: str | None = None, **options: Any) -> dict[str, Any]:
+def import_file(
+    path: str | Path,
+    out: str | Path,
+    *,
+    format: str | None = None,
+    hand: HandModel | None = None,
+    profile: Profile | None = None,
+    change: Callable[[Trace], Trace] = lambda trace: trace,
+    **options: Any,
+) -> dict[str, Any]:
     """Turn a foreign log into a trace (or a hand's description into a hand TOML) and say what was done.
 
     format: a name of DEVICES or HANDS; None takes it from the header row (or the extension .json). options go to the
-    format's reader. Returns format, out, samples, duration_s, rate_hz (None for a single sample), assumptions
-    (sentences) and changed (what: how many or how much). Raises BadTrace, PalmarError; then nothing is written.
+    format's reader. hand: that positions are solved for, already made to fit the profile; profile: whose hand it is.
+    change: the last thing done to the trace. Returns format, out, samples, duration_s, rate_hz (None for a single
+    sample), assumptions (sentences), changed (what: how many or how much) and, of positions, residual_mm.
+    Raises BadTrace, PalmarError; then nothing is written.
     """
-    path = Path(path)
-    name = format or _guess_format(path)
+    name = format or _guess_format(Path(path))
     if name in HANDS:
         convert = HANDS[name][0]
         _check_options(name, convert, options)
-        text = convert(path, **options)
+        text = convert(Path(path), **options)
         write_whole(out, text.encode())
         return {"format": name, "out": str(out), "assumptions": _leading_comments(text), "changed": {}}
+    log = read_device(path, name, **options)
+    if isinstance(log, Recording):
+        if hand is None:
+            needed = f"whose fingers are they? --profile of a `palmar calibrate {path}`, or --hand"
+            raise PalmarError("E-CONF", "--profile", f"format {name} has positions, no angles: {needed}")
+        trace = solve_recording(log, hand, profile)
+    elif profile is not None and hand is not None:
+        trace = apply_readings(log, hand, profile)
+    elif hand is not None:
+        raise PalmarError("E-CONF", "--hand", f"format {name} has the angles of its own hand; leave it out")
+    else:
+        trace = log
+    trace = change(trace)
+    write_trace(out, trace)
+    return {"format": name, "out": str(out), **summarise(trace)}
+
+
+def read_device(path: str | Path, format: str | None = None, **options: Any) -> Trace | Recording:
+    """What a foreign log holds, angles or positions. Raises BadTrace, PalmarError."""
+    path = Path(path)
+    name = format or _guess_format(path)
     if name not in DEVICES:
         known = [*DEVICES, *HANDS]
         raise BadTrace(
@@ -63,20 +109,20 @@ def import_file(path: str | Path, out: str | Path, *, format: str | None = None,
         )
     read = DEVICES[name].read
     _check_options(name, read, options)
-    trace = read(path, **options)
-    write_trace(out, trace)
-    return {"format": name, "out": str(out), **summarise(trace)}
+    return read(path, **options)
 
 
 def summarise(trace: Trace) -> dict[str, Any]:
-    """Samples, duration, rate, assumptions and changes of a trace that was just made."""
+    """Samples, duration, rate, assumptions, changes and residuals of a trace that was just made."""
     rate = trace.header.get("rate_hz")
+    residual = {"residual_mm": json.loads(trace.header["residual_mm"])} if "residual_mm" in trace.header else {}
     return {
         "samples": len(trace.time_s),
         "duration_s": float(trace.time_s[-1] - trace.time_s[0]),
         "rate_hz": float(rate) if rate else None,
         "assumptions": json.loads(trace.header["assumptions"]),
         "changed": json.loads(trace.header.get("changed", "{}")),
+        **residual,
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -17,6 +17,7 @@ KEEP_M_PER_RAD = 0.03
 # Held to the frame before, an angle that is seen must not be late by more than a hundredth of a degree at 10 rad/s.
 FOLLOW_M_PER_RAD = 0.001
 FRAMES = 16  # solved at once: fewer pay for calls, more for the size of the matrices
+GOOD_M = 0.003  # root of a frame's squared misses; the search is not started anew below it
 TOLERANCE = 1e-10  # relative, of cost, step and gradient, at which the search ends
 
 
@@ -58,17 +59,7 @@ def fit_finger(
         linear = _linear_rows(len(near), keep_m_per_rad, couple_m_per_rad, hand.flexion_coupling[finger, 1])
         held = np.concatenate([keep_m_per_rad * near.ravel(), np.zeros(len(linear) - near.size)])
         frames = _Frames(hand, finger, points_m, phalanx, wanted_m[part], root[part], linear, held)
-        found = least_squares(
-            frames.residual,
-            np.clip(near, low, high).ravel(),
-            frames.jacobian,
-            bounds=(np.tile(low, len(near)), np.tile(high, len(near))),
-            method="dogbox",
-            ftol=TOLERANCE,
-            xtol=TOLERANCE,
-            gtol=TOLERANCE,
-        )
-        angles[part] = found.x.reshape(-1, 4)
+        angles[part] = _solve(frames, np.clip(near, low, high), low, high)
         last = angles[part][-1]
     return angles
 
@@ -93,10 +84,30 @@ class _Frames(NamedTuple):
     def jacobian(self, x: Array) -> Array:
         by_angle = finger_jacobian(self.hand, self.finger, x.reshape(-1, 4), self.points_m, self.phalanx)
         blocks = (by_angle * self.root[..., None, None]).reshape(len(by_angle), -1, 4)
-        return np.vstack([_on_diagonal(blocks), self.linear])
+        return np.vstack([on_diagonal(blocks), self.linear])
 
 
-def _on_diagonal(blocks: Array) -> Array:
+def _solve(frames: _Frames, near: Array, low: Array, high: Array) -> Array:
+    """Angles (n, 4) of the frames, from where they are held; where that ends far from what was seen, started anew."""
+    best: Any = None
+    for start in (near, np.tile(0.5 * (low + high), (len(near), 1))):
+        found = least_squares(
+            frames.residual,
+            start.ravel(),
+            frames.jacobian,
+            bounds=(np.tile(low, len(near)), np.tile(high, len(near))),
+            method="dogbox",
+            ftol=TOLERANCE,
+            xtol=TOLERANCE,
+            gtol=TOLERANCE,
+        )
+        best = found if best is None or found.cost < best.cost else best
+        if 2.0 * best.cost < len(near) * GOOD_M**2:
+            break
+    return best.x.reshape(-1, 4)
+
+
+def on_diagonal(blocks: Array) -> Array:
     """(n, r, c) as one matrix (n r, n c) with the blocks on its diagonal."""
     n, r, c = blocks.shape
     matrix = np.zeros((n, r, n, c))
@@ -108,5 +119,5 @@ def _linear_rows(count: int, keep: float, couple: float, ratio: float) -> Array:
     """Rows that hold the angles, and below them, if asked, rows that hold DIP to its coupling."""
     rows = [keep * np.eye(4 * count)]
     if couple:
-        rows.append(_on_diagonal(np.tile(couple * np.array([[[0.0, 0.0, -ratio, 1.0]]]), (count, 1, 1))))
+        rows.append(on_diagonal(np.tile(couple * np.array([[[0.0, 0.0, -ratio, 1.0]]]), (count, 1, 1))))
     return np.vstack(rows)
