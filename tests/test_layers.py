@@ -9,7 +9,7 @@ TOP = Path(__file__).resolve().parents[1]
 SOURCE = TOP / "runtime" / "src"
 STAGES = ("tools", "traces", "eval")
 # Only these files of the package root know the stages.
-KNOW_ALL = ("cli_make", "cli_trace", "cli_judge", "demo", "check")
+KNOW_ALL = ("cli_make", "cli_trace", "cli_judge", "calibrate", "importing", "demo", "check")
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [
     "error records algebra crc32 cdr mcap wide",
@@ -35,7 +35,7 @@ DOORS = {
     "rich": ["runtime/palmar/terminal.py"],
     "safetensors": ["runtime/palmar/model.py"],
     "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py"],
-    "typer": [f"runtime/palmar/{name}.py" for name in ("cli", "cli_app", "cli_make", "cli_trace", "cli_judge")],
+    "typer": [f"runtime/palmar/cli{name}.py" for name in ("", "_app", "_calibrate", "_make", "_trace", "_judge")],
 }
 OF_FUNCTIONS = {"open3d", "pyvista"}
 

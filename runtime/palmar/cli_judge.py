@@ -1,5 +1,6 @@
 """Verbs that replay, judge and report."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -28,7 +29,7 @@ def replay(
     """Pack + trace -> run. A damaged trace is refused unless its loss is accepted; the exit code is 3 either way."""
     from palmar.files import lost_line, require_file, require_place
     from palmar.records import read_trace
-    from palmar.replay import object_of, replay_file
+    from palmar.replay import hand_warning, object_of, replay_file
     from palmar.show import print_replay
     from palmar.terminal import print_json, progress_bar
 
@@ -40,6 +41,9 @@ def replay(
     damage = lost_line(trace, samples.lost)
     if damage and not accept_loss:
         return complain(f"{damage}; nothing was written: pass --accept-loss to replay what is left", LOSS)
+    warning = hand_warning(samples, pack)
+    if warning:
+        print(f"warning: {warning}", file=sys.stderr)
     with progress_bar(not json) as progress:
         name = name or object_of(samples, pack)
         answer = replay_file(pack, trace, out, object_name=name, settings=settings, progress=progress)

@@ -5,7 +5,19 @@ from typing import Annotated
 
 import typer
 
-from palmar.cli_app import LOSS, Json, Object, OutFile, OutFolder, Seed, app, complain, parse_pairs
+from palmar.cli_app import (
+    LOSS,
+    HandName,
+    Json,
+    Object,
+    OutFile,
+    OutFolder,
+    Seed,
+    UserProfile,
+    app,
+    complain,
+    parse_pairs,
+)
 
 
 @app.command("import")
@@ -19,16 +31,37 @@ def import_(
     option: Annotated[
         list[str] | None, typer.Option("--option", help="key=value for the format's reader; may be repeated.")
     ] = None,
+    hand: HandName = None,
+    profile: UserProfile = None,
+    grasp: Annotated[
+        Path | None, typer.Option(help="Pack whose object is put where the recorded hand closes most.")
+    ] = None,
+    name: Object = "",
     json: Json = False,
 ) -> None:
-    """Foreign log -> trace."""
+    """Foreign log -> trace; of positions the angles are solved for, of the hand that --profile or --hand names."""
     from palmar.files import require_file, require_place
+    from palmar.importing import import_log
+    from palmar.show import print_residuals
     from palmar.terminal import print_fields, print_json
-    from palmar.traces.device import import_file
 
     require_place(out)
-    answer = import_file(require_file(file), out, format=form, **parse_pairs("--option", option or []))
-    print_json(answer) if json else print_fields(answer)
+    answer = import_log(
+        require_file(file),
+        out,
+        format=form,
+        options=parse_pairs("--option", option or []),
+        hand_name=hand,
+        profile_path=profile,
+        grasp=grasp and require_file(grasp),
+        object_name=name,
+    )
+    if json:
+        print_json(answer)
+    else:
+        if "residual_mm" in answer:
+            print_residuals(answer.pop("residual_mm"))
+        print_fields(answer)
 
 
 @app.command()

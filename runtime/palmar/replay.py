@@ -57,6 +57,16 @@ def object_of(trace: Trace, pack: Path) -> str:
     return named if named in load_pack(pack).objects else ""
 
 
+def hand_warning(trace: Trace, pack: Path) -> str:
+    """What to say if the trace's angles are of another user's hand than the pack's; "" if nothing."""
+    profile, about = trace.header.get("profile_sha256"), load_pack(pack).hand.about
+    if profile is None or profile == about.get("profile_sha256"):
+        return ""
+    return (
+        f"the trace is of hand {trace.header['hand']}, the pack has {about['name']}, fitted to another profile or none"
+    )
+
+
 def count_status(steps_by_status: dict[int, int]) -> dict[str, int]:
     """Steps by the name of each status bit, from steps by status; a step with two bits counts in both."""
     counts = {"ok": steps_by_status.get(0, 0)}

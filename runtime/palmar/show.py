@@ -16,6 +16,7 @@ from palmar.terminal import print_fields, print_table
 LEVEL_COLUMNS = ["object", "level", "spheres", "protrusion max mm", "p99", "mean", "gap max mm", "p99", "mean"]
 LEVEL_COLUMNS += ["normals median deg", "p95"]
 LEVEL_ERRORS = [(figure, stat) for figure in ("protrusion_mm", "gap_mm") for stat in ("max", "p99", "mean")]
+RESIDUAL_STATS = ("p50", "p99", "max")
 LEVEL_ERRORS += [("normal_error_deg", "median"), ("normal_error_deg", "p95")]
 
 
@@ -96,6 +97,16 @@ def print_replay(answer: dict[str, Any]) -> None:
     """The answer of `palmar.replay.replay_file`: how many steps had which status, then the file."""
     _print_status(answer["status"])
     print_fields({"run": answer["run"], "steps": answer["steps"]})
+
+
+def print_residuals(residual_mm: dict[str, Any]) -> None:
+    """How far the solved hand is from each point seen."""
+    rows = []
+    for finger, points in residual_mm.items():
+        named = {"all": points} if finger == "fingertips" else points
+        for point, stats in named.items():
+            rows.append((finger, point, *(stats.get(key, "") for key in RESIDUAL_STATS)))
+    print_table(("residual, mm", "point", *RESIDUAL_STATS), rows)
 
 
 def _print_pack(description: dict[str, Any]) -> None:
