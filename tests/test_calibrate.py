@@ -93,11 +93,13 @@ def test_recorded_markers_are_met_and_the_missing_counted(tmp_path, capsys, requ
 
 
 @needs_recordings
-def test_a_hand_calibrated_on_the_first_half_meets_the_second(tmp_path, capsys):
-    lines = (SHARED / "leap" / "grab.csv").read_text().splitlines()
+@pytest.mark.parametrize("log", ["quest3_webxr/quest3_right.csv", "leap/grab.csv", "leap/handsplay_110fps.csv"])
+def test_a_hand_calibrated_on_the_first_half_meets_the_second(log, tmp_path, capsys):
+    lines = (SHARED / log).read_text().splitlines()
     first, second = tmp_path / "first.csv", tmp_path / "second.csv"
-    first.write_text("\n".join(lines[:188]) + "\n")
-    second.write_text("\n".join([lines[0], *lines[188:]]) + "\n")
+    half = 1 + (len(lines) - 1) // 2
+    first.write_text("\n".join(lines[:half]) + "\n")
+    second.write_text("\n".join([lines[0], *lines[half:]]) + "\n")
     answer(capsys, "calibrate", first, "-o", tmp_path / "me.toml")
     made = answer(capsys, "import", second, "--profile", tmp_path / "me.toml", "-o", tmp_path / "log.mcap")
     assert made["residual_mm"]["fingertips"]["p99"] <= 3.0

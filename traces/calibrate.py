@@ -36,6 +36,7 @@ from palmar.traces.solve import count_missing, solve_angles, tell_residuals
 
 FRAMES = 40  # of the whole recording, as different from each other as can be, for the shape
 WIDER_RAD = np.radians(30.0)  # beyond the hand's ranges, for a user who bends farther than most
+MARGIN_RAD = np.radians(10.0)  # beyond the angles shown: some seconds do not show the ends of every range
 MARKER_HEIGHT_M = 0.005  # of a marker's middle over the skin it sits on
 MIDDLE_MARKER = 0.7  # of the first phalanx, from the knuckle
 USUAL_FLEXION_RAD = 0.35  # of the knuckles, half way between a flat hand and a loose one
@@ -60,7 +61,8 @@ def calibrate_recording(recording: Recording, hand: HandModel, name: str) -> tup
     flexion, abduction, miss_m = solve_angles(recording, wide, pose, places)
     for f in range(5):
         angles = np.column_stack([abduction[:, f], flexion[:, f]])[trusted]
-        shown = np.percentile(angles, [1, 99], axis=0).T  # 1 %: a frame seen wrongly must not make a range
+        # 1 %: a frame seen wrongly must not make a range.
+        shown = np.percentile(angles, [1, 99], axis=0).T + np.array([-MARGIN_RAD, MARGIN_RAD])
         low, high = angle_limits(hand, f)
         limit = np.column_stack([np.minimum(low, shown[:, 0]), np.maximum(high, shown[:, 1])])
         measured[f] = replace(measured[f], abduction_limit_rad=limit[0], flexion_limit_rad=limit[1:])

@@ -102,6 +102,8 @@ def read_device(path: str | Path, format: str | None = None, **options: Any) -> 
     """What a foreign log holds, angles or positions. Raises BadTrace, PalmarError."""
     path = Path(path)
     name = format or _guess_format(path)
+    if name in HANDS:
+        raise BadTrace("E-TRACE-FORMAT", str(path), f"format {name} is a hand; a log of a hand that moves is needed")
     if name not in DEVICES:
         known = [*DEVICES, *HANDS]
         raise BadTrace(

@@ -51,8 +51,8 @@ def fit_to_profile(hand: HandModel, profile: Profile) -> HandModel:
     """The hand with the profile's measures; what was not measured is scaled with the hand's length and breadth.
 
     Lengths of the palm scale so that wrist, palm, middle finger and its tip make up the hand's length; breadth,
-    thickness and radii scale with the breadth. A hand of the other side is mirrored first. Raises BadPack E-CONF
-    if a measure does not fit a hand.
+    thickness and radii scale with the breadth; the palm follows knuckles whose place was measured. A hand of the other
+    side is mirrored first. Raises BadPack E-CONF if a measure does not fit a hand.
     """
     if profile.side != hand.about["side"]:
         hand = mirror_hand(hand)
@@ -79,7 +79,7 @@ def fit_to_profile(hand: HandModel, profile: Profile) -> HandModel:
                 raise BadPack("E-CONF", part, f"{JOINTS[k]} phalanx of {text}; it must be longer than they differ")
     return replace(
         hand,
-        palm_spheres_m=np.column_stack([hand.palm_spheres_m[:, :3] @ scale.T, hand.palm_spheres_m[:, 3] * breadth]),
+        palm_spheres_m=_palm(hand, scale, breadth, joint[:, 0]),
         joint_m=joint,
         phalanx_m=phalanx,
         phalanx_radius_m=radius,
@@ -159,6 +159,18 @@ def _palm_scale(where: str, hand: HandModel, profile: Profile, breadth: float) -
         found = f"leaves {along * palm * 1e3:.4g} mm of palm, the hand has {palm * 1e3:.4g} mm"
         raise BadPack("E-CONF", f"{where}, hand_length_m", f"{found}; {SMALLEST:g} to {LARGEST:g} of it is allowed")
     return axes @ np.diag([breadth, along, breadth]) @ axes.T
+
+
+def _palm(hand: HandModel, scale: Array, breadth: float, knuckle_m: Array) -> Array:
+    """The palm's spheres, scaled, and carried along with the knuckles: fully between these, not at all at the wrist."""
+    centre = hand.palm_spheres_m[:, :3] @ scale.T
+    before = hand.joint_m[1:, 0] @ scale.T
+    axes = palm_axes(hand)
+    across, order = centre @ axes[:, 2], np.argsort(before @ axes[:, 2])
+    between = [np.interp(across, (before @ axes[:, 2])[order], column[order]) for column in (knuckle_m[1:] - before).T]
+    reach = np.interp(across, (before @ axes[:, 2])[order], (before @ axes[:, 1])[order])
+    share = np.clip(centre @ axes[:, 1] / reach, 0.0, 1.0)
+    return np.column_stack([centre + share[:, None] * np.stack(between, axis=1), hand.palm_spheres_m[:, 3] * breadth])
 
 
 def _along(hand: HandModel, scale: Array) -> float:

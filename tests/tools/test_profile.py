@@ -1,5 +1,7 @@
 """Profiles: read, refused, applied; the built-in hands are what the survey says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,6 +45,9 @@ FULL = Profile(
     device="glove",
     palm_from_device=(np.array([0.01, 0.02, 0.03]), np.array([0.6, 0.0, 0.8, 0.0])),
 )
+
+
+WITHOUT_PLACES = replace(FULL, fingers=(FULL.fingers[0], *[FingerMeasures()] * 4))
 
 
 def write(path, text):
@@ -110,8 +115,23 @@ def test_measures_are_the_hands_to_rounding():
     np.testing.assert_array_equal(hand.joint_m[1, 0], FULL.fingers[1].joint_m)
     np.testing.assert_array_equal(hand.flexion_axis[1], FULL.fingers[1].flexion_axis)
     np.testing.assert_array_equal(hand.abduction_limit_rad[1], np.radians([-20, 30]))
-    assert hand_breadth(hand) == pytest.approx(0.08, abs=1e-12)
     assert hand_length(hand) == pytest.approx(0.18, abs=1e-12)
+    # The palm's breadth is the measured one but for how far the index finger's knuckle was found from its usual place.
+    moved = np.linalg.norm(hand.joint_m[1, 0] - fit_to_profile(default_hand(), WITHOUT_PLACES).joint_m[1, 0])
+    assert abs(hand_breadth(hand) - 0.08) <= moved
+    assert hand_breadth(fit_to_profile(default_hand(), WITHOUT_PLACES)) == pytest.approx(0.08, abs=1e-12)
+
+
+def test_the_palm_follows_its_knuckles_and_not_at_the_wrist():
+    own = default_hand()
+    shift = np.array([0.002, 0.003, -0.004])
+    fingers = tuple(FingerMeasures(joint_m=own.joint_m[f, 0] + shift) for f in range(5))
+    hand = fit_to_profile(own, Profile("a", "right", "", fingers=fingers))
+    moved = hand.palm_spheres_m[:, :3] - own.palm_spheres_m[:, :3]
+    share = np.clip(own.palm_spheres_m[:, 1] / 0.0834, 0, 1)  # the little finger's knuckle is the nearest to the wrist
+    assert (moved @ shift <= share * (shift @ shift) + 1e-12).all() and (moved @ shift > 0).all()
+    knuckle = np.argmin(np.linalg.norm(own.palm_spheres_m[:, :3] - own.joint_m[2, 0], axis=1))
+    np.testing.assert_allclose(moved[knuckle], shift, rtol=0.05)
 
 
 def test_a_longer_middle_finger_leaves_less_palm():
