@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palmar import load_pack, read_trace
+from palmar import load_pack, read_run, read_trace
 from palmar.cli import run
+from palmar.eval.case import Case
 from palmar.profile import bone_vectors
 from palmar.tools.profile_file import read_profile
-from palmar.traces.recording import Recording
 
 SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data" / "traces"
 OPTICAL = SHARED / "qualisys_pillow" / "pillow_first_30s.csv"
@@ -105,7 +105,20 @@ def test_a_hand_calibrated_on_the_first_half_meets_the_second(log, tmp_path, cap
     assert made["residual_mm"]["fingertips"]["p99"] <= 3.0
 
 
-def test_every_position_format_is_in_the_table():
-    from palmar.traces.device import DEVICES
+@needs_recordings
+@pytest.mark.parametrize("log", [JOINTS[0], SHARED / "leap" / "grab.csv"], ids=lambda path: path.stem)
+def test_a_recorded_hand_closes_on_an_object_and_does_not_enter_it(log, tmp_path, capsys):
+    profile, pack, trace, out = (tmp_path / name for name in ("me.toml", "a.pack", "a.mcap", "a.run.mcap"))
+    answer(capsys, "calibrate", log, "-o", profile)
+    answer(capsys, "build", "shape:cylinder", "--spheres", 120, "--profile", profile, "-o", pack)
+    answer(capsys, "import", log, "--profile", profile, "--grasp", pack, "-o", trace)
+    told = answer(capsys, "replay", pack, trace, "-o", out)
+    assert told["status"]["kept_previous"] == told["status"]["bad_sample"] == 0
+    case = Case(read_run(out), load_pack(pack), "cylinder")
+    assert case.run.contacts.max() > 20  # several fingers
+    assert case.sphere_gap_m.min() >= -1e-6  # metres: what a verified pose may be short of
 
-    assert {"webxr", "leap", "optical-glove"} <= set(DEVICES) and Recording is not None
+    # A trace of one person on the hand of another is told.
+    answer(capsys, "build", "shape:cylinder", "--spheres", 120, "-o", pack)
+    assert run(["replay", str(pack), str(trace), "-o", str(out), "--set", "rate_hz=100"]) == 0
+    assert "fitted to another profile or none" in capsys.readouterr().err

@@ -77,7 +77,7 @@ def calibrate_recording(recording: Recording, hand: HandModel, name: str) -> tup
     )
     fit_to_profile(hand, profile)  # refuses what is no hand
     counts = {"frames": len(recording.time_s), "trusted": int(trusted.sum())}
-    return profile, {**counts, **count_missing(recording), "residual_mm": tell_residuals(recording, miss_m)}
+    return profile, {**counts, **count_missing(recording), "residual_mm": tell_residuals(recording, wide, pose, miss_m)}
 
 
 def _widen(hand: HandModel) -> HandModel:

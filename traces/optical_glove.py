@@ -55,6 +55,7 @@ def read_optical_glove(path: str | Path, *, side: str = "right") -> Recording:
     if wrong.size:
         raise BadTrace("E-TRACE-VALUE", f"{log.where}:line {wrong[0] + 2}", "the back's markers lie on one line")
     points = np.stack([np.stack([log.stack(m) for m in finger], axis=1) for finger in POINTS], axis=1)
+    points[~seen] = np.nan  # seen from a palm that is not known they say nothing of the fingers
     return Recording(
         device=DEVICE,
         source=Path(path).name,

@@ -48,7 +48,7 @@ def solve_recording(recording: Recording, hand: HandModel, profile: Profile | No
         "source_sha256": recording.sha256,
         "assumptions": json.dumps([*recording.assumptions, *how]),
         "changed": json.dumps(count_missing(recording)),
-        "residual_mm": json.dumps(tell_residuals(recording, miss_m)),
+        "residual_mm": json.dumps(tell_residuals(recording, hand, pose, miss_m)),
     }
     if profile is not None:
         header["profile_sha256"] = profile.sha256
@@ -143,12 +143,18 @@ def count_missing(recording: Recording) -> dict[str, float]:
     return {what: count for what, count in counts.items() if count}
 
 
-def tell_residuals(recording: Recording, miss_m: Array) -> dict[str, Any]:
-    """Miss in mm of every point and of the fingertips together: p50, p99, max."""
-    fingers = {
-        finger: {name: _stats(miss_m[:, f, m]) for m, name in enumerate(recording.point_names)}
-        for f, finger in enumerate(FINGERS)
-    }
+def tell_residuals(recording: Recording, hand: HandModel, pose: Pose, miss_m: Array) -> dict[str, Any]:
+    """Miss in mm of every point and of the fingertips together: p50, p99, max.
+
+    The first joints, where they are seen, say how rigid the palm was: nothing is solved for them.
+    """
+    fingers: dict[str, Any] = {finger: {} for finger in FINGERS}
+    for f, stats in enumerate(fingers.values()):
+        if recording.knuckle_m is not None:
+            off = in_frame(recording.knuckle_m[:, f], pose) - hand.joint_m[f, 0]
+            stats["joint 1"] = _stats(np.linalg.norm(off, axis=1))
+        for m, name in enumerate(recording.point_names):
+            stats[name] = _stats(miss_m[:, f, m])
     return {**fingers, "fingertips": _stats(miss_m[:, :, -1])}
 
 

@@ -31,6 +31,21 @@ def test_columns_come_by_name_whatever_their_order(tmp_path):
     np.testing.assert_array_equal(unit_quaternions(log, COLUMNS[1:]), [[0.6, 0.8, 0, 0]])
 
 
+def test_fields_may_be_empty_and_columns_left_out_only_where_it_is_said(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t,x,more\n0,,1\n1,2,3\n")
+    log = read_log(path, ["t", "x"], "t", optional=("more", "other"), may_be_empty=("x",))
+    np.testing.assert_array_equal(log.columns["x"], [np.nan, 2.0])
+    np.testing.assert_array_equal(log.columns["more"], [1.0, 3.0])
+    with pytest.raises(BadTrace, match="column x"):
+        read_log(path, ["t", "x"], "t", optional=("more",))
+    with pytest.raises(BadTrace, match="unknown column 'more'"):
+        read_log(path, ["t", "x"], "t", may_be_empty=("x",))
+    path.write_text("t,x\n,1\n")
+    with pytest.raises(BadTrace, match="column t"):
+        read_log(path, ["t", "x"], "t", may_be_empty=("x",))
+
+
 @pytest.mark.parametrize(
     ("content", "code", "place", "said"),
     [

@@ -107,6 +107,23 @@ def test_markers_of_a_glove_are_placed_bridged_and_counted(tmp_path):
     assert np.abs(bend[seen]).max() <= 0.2
 
 
+def test_without_the_back_a_frame_is_not_tracked_and_its_markers_are_bridged(tmp_path):
+    log = optical_log(tmp_path / "log.csv", made_hand(), made_angles())
+    lines = log.read_text().splitlines()
+    for i in range(51, 57):
+        lines[i] = ",".join(["" if 1 <= k <= 3 else field for k, field in enumerate(lines[i].split(","))])
+    log.write_text("\n".join(lines) + "\n")
+    recording = read_device(log)
+    assert np.flatnonzero(~recording.palm_seen).tolist() == list(range(50, 56))
+    profile, told = calibrate_recording(recording, default_hand(), "me")
+    assert told["frames without the palm"] == 6 and told["points not seen"] == told["of these bridged"] == 60
+    trace = solve_recording(recording, fit_to_profile(default_hand(), profile), profile)
+    np.testing.assert_array_equal(trace.tracked, recording.palm_seen)
+    # Between its neighbours: 7 frames of a palm that accelerates by 2 m/s^2, and no finger jumps.
+    assert np.linalg.norm(trace.palm_position_m - made_palm()[0], axis=1)[50:56].max() <= 0.05
+    assert np.abs(np.diff(trace.flexion_rad, axis=0)).max() <= 0.3
+
+
 def test_a_glove_without_its_profile_is_refused(tmp_path):
     log = optical_log(tmp_path / "log.csv", made_hand(), made_angles(20))
     with pytest.raises(PalmarError, match="palmar calibrate"):
