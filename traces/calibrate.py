@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from palmar.model import HandModel
+from palmar.errors import BadTrace
+from palmar.model import FINGERS, HandModel
 from palmar.profile import (
     FingerMeasures,
     Profile,
@@ -23,6 +24,7 @@ from palmar.traces.finger_shape import JOINTS_SEEN, MARKERS_SEEN, fit_shape
 from palmar.traces.inverse import angle_limits
 from palmar.traces.kinematics import Array, joint_points
 from palmar.traces.palm_frame import (
+    ENOUGH,
     Pose,
     in_frame,
     one_after,
@@ -121,6 +123,9 @@ def _from_markers(
 ) -> tuple[HandModel, Array, Pose, list[FingerMeasures]]:
     """Shape of a hand that wore markers. Where the palm is comes from where the fitted knuckles are: twice."""
     points = recording.points_m[trusted]
+    for f, m in np.argwhere(np.isfinite(points).all(axis=3).sum(axis=0) < ENOUGH):
+        found = f"the {FINGERS[f]}'s {recording.point_names[m]} is seen in fewer than {ENOUGH} frames"
+        raise BadTrace("E-TRACE-EMPTY", recording.source, f"{found}; every marker has to be seen")
     rotation = palm_axes(hand) @ recording.palm_axes.T
     first = usual_places(hand)
     fingers = slice(1, 5)

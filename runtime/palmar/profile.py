@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,7 +43,6 @@ class Profile:
     device: str = ""  # that reading_rad, marker_m and palm_from_device are of
     palm_from_device: tuple[Array, Array] | None = None  # (3,) metres and (4,) w x y z of the device's palm frame
     sha256: str = ""
-    about: dict[str, Any] = field(default_factory=dict)
 
 
 def fit_to_profile(hand: HandModel, profile: Profile) -> HandModel:

@@ -18,6 +18,7 @@ from palmar.traces.palm_frame import rigid_between
 from palmar.traces.solve import bridge, solve_recording
 
 from .made_logs import (
+    FRAMES,
     joints_in_palm,
     leap_log,
     made_angles,
@@ -183,6 +184,12 @@ def test_a_leap_log_with_a_fault_names_the_line(column, value, found, tmp_path):
 def test_few_frames_are_no_calibration(tmp_path):
     log = leap_log(tmp_path / "log.csv", made_hand(), made_angles(5))
     with pytest.raises(BadTrace, match="5 frames show the hand; 10 are needed"):
+        calibrate_recording(read_device(log), default_hand(), "me")
+
+
+def test_a_finger_that_is_never_seen_is_no_calibration(tmp_path):
+    log = optical_log(tmp_path / "log.csv", made_hand(), made_angles(), [(3, 0, 0, FRAMES)])
+    with pytest.raises(BadTrace, match="the ring's middle marker is seen in fewer than 10 frames"):
         calibrate_recording(read_device(log), default_hand(), "me")
 
 
