@@ -115,7 +115,7 @@ def test_a_recorded_hand_closes_on_an_object_and_does_not_enter_it(log, tmp_path
     told = answer(capsys, "replay", pack, trace, "-o", out)
     assert told["status"]["kept_previous"] == told["status"]["bad_sample"] == 0
     case = Case(read_run(out), load_pack(pack), "cylinder")
-    assert case.run.contacts.max() > 20  # several fingers
+    assert len(set((case.run.contact_link[case.run.contact_link > 0] - 1) // 3)) >= 3  # fingers
     assert case.sphere_gap_m.min() >= -1e-6  # metres: what a verified pose may be short of
 
     # A trace of one person on the hand of another is told.
