@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from palmar.errors import PalmarError
-from palmar.model import HandModel
+from palmar.model import HandModel, load_pack
 from palmar.profile import Profile, fit_to_profile
 from palmar.tools.hand_file import default_hand, read_hand
 from palmar.tools.toml_file import nearest
@@ -23,11 +23,11 @@ NAMES = [DEFAULT, *[f"{DEFAULT}:{sex}-{percentile}" for sex in SURVEY_MM for per
 
 
 def find_hand(name: str | Path | None) -> HandModel:
-    """The hand of a TOML file, or one of NAMES; None is the default hand. Raises BadPack, PalmarError."""
+    """The hand of a TOML file or a pack, or one of NAMES; None is the default hand. Raises BadPack, PalmarError."""
     if name is None or str(name) == DEFAULT:
         return default_hand()
     if not is_default(name):
-        return read_hand(name)
+        return load_pack(name).hand if Path(name).suffix == ".pack" else read_hand(name)
     if str(name) not in NAMES:
         known = ", ".join(NAMES)
         raise PalmarError("E-CONF", "--hand", f"{str(name)!r}{nearest(str(name), NAMES)}; known are {known}")

@@ -22,7 +22,9 @@ app = typer.Typer(
 
 HandName = Annotated[
     str | None,
-    typer.Option("--hand", help="Hand as TOML, or default, default:female-5, -50, -95, default:male-5, -50, -95."),
+    typer.Option(
+        "--hand", help="Hand as TOML or of a pack; or default, default:female-5, -50, -95, default:male-5, -50, -95."
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
 OutFile = Annotated[Path, typer.Option("--out", "-o", help="File to write.")]

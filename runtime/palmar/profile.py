@@ -66,7 +66,8 @@ def fit_to_profile(hand: HandModel, profile: Profile) -> HandModel:
         radius[f] = hand.phalanx_radius_m[f] * breadth if width is None else np.stack([width[:3], width[1:]], 1) / 2
         start = scale @ hand.joint_m[f, 0] if measures.joint_m is None else measures.joint_m
         own = bone_vectors(hand, f)
-        grow = _own_or(given[f], np.full(3, _along(hand, scale)))
+        grown = given[f]
+        grow = np.full(3, _along(hand, scale)) if grown is None else grown
         for k in range(3):
             joint[f, k] = start
             phalanx[f, k] = start + grow[k] * (hand.phalanx_m[f, k] - hand.joint_m[f, k])
@@ -75,16 +76,19 @@ def fit_to_profile(hand: HandModel, profile: Profile) -> HandModel:
             if not length > abs(radius[f, k, 0] - radius[f, k, 1]):
                 text = f"{length:.4g} m between radii {radius[f, k, 0]:.4g} and {radius[f, k, 1]:.4g} m"
                 raise BadPack("E-CONF", part, f"{JOINTS[k]} phalanx of {text}; it must be longer than they differ")
-    return replace(
-        hand,
+    return HandModel(
         palm_spheres_m=_palm(hand, scale, breadth, joint[:, 0]),
         joint_m=joint,
+        flexion_axis=_own_or_hands(profile, hand, "flexion_axis"),
+        abduction_axis=_own_or_hands(profile, hand, "abduction_axis"),
         phalanx_m=phalanx,
         phalanx_radius_m=radius,
-        **{
-            name: np.stack([_own_or(getattr(m, name), getattr(hand, name)[f]) for f, m in enumerate(profile.fingers)])
-            for name in ("flexion_axis", "abduction_axis", "flexion_limit_rad", "abduction_limit_rad")
-        },
+        flexion_limit_rad=_own_or_hands(profile, hand, "flexion_limit_rad"),
+        abduction_limit_rad=_own_or_hands(profile, hand, "abduction_limit_rad"),
+        joint_stiffness_n_m_per_rad=hand.joint_stiffness_n_m_per_rad,
+        palm_stiffness_n_per_m=hand.palm_stiffness_n_per_m,
+        palm_rotation_stiffness_n_m_per_rad=hand.palm_rotation_stiffness_n_m_per_rad,
+        flexion_coupling=hand.flexion_coupling,
         about={
             "name": profile.name,
             "side": profile.side,
@@ -194,5 +198,7 @@ def _ratio(where: str, name: str, value: float | None, own: float) -> float:
     return float(value / own)
 
 
-def _own_or(value: Array | None, other: Array) -> Array:
-    return other if value is None else value
+def _own_or_hands(profile: Profile, hand: HandModel, name: str) -> Array:
+    """One number of every finger, the profile's where it was measured and else the hand's."""
+    own = [getattr(measures, name) for measures in profile.fingers]
+    return np.stack([getattr(hand, name)[f] if value is None else value for f, value in enumerate(own)])

@@ -222,6 +222,11 @@ def test_a_pack_says_whose_hand_it_holds(tmp_path):
     expected = fit_to_profile(find_hand("default:male-95"), read_profile(profile))
     np.testing.assert_array_equal(hand.phalanx_m, expected.phalanx_m)
     assert FINGERS[1] == "index"
+    # A hand out of a pack is a hand like any other, and a profile fits it again.
+    build(["shape:cube"], tmp_path / "c.pack", spheres=30, hand_path=tmp_path / "a.pack", profile_path=profile)
+    again = load_pack(tmp_path / "c.pack").hand
+    np.testing.assert_allclose(bone_vectors(again, 1), bone_vectors(expected, 1), rtol=0, atol=1e-15)
+    assert again.about["source"].startswith(f"{FULL.name}, fitted to")
     assets = write(
         tmp_path / "assets.toml", 'hand = "default:female-5"\n[[object]]\nmesh = "shape:cube"\nspheres = 30\n'
     )
