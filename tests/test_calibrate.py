@@ -62,7 +62,9 @@ def test_a_wrong_measurement_is_one_line_and_no_file(flags, found, tmp_path, cap
 
 @needs_recordings
 @pytest.mark.parametrize("log", JOINTS, ids=lambda path: path.stem)
-def test_recorded_joints_are_met_by_the_hand_of_their_user(log, tmp_path, capsys):
+def test_recorded_joints_are_met_by_the_hand_of_their_user(log, tmp_path, capsys, request):
+    if log.stem in ("pinch", "waiting_110fps") and not request.config.getoption("--all-recordings"):
+        pytest.skip("only with --all-recordings")
     profile, trace = tmp_path / "me.toml", tmp_path / "log.mcap"
     told = answer(capsys, "calibrate", log, "-o", profile)
     spread = np.array([finger["spread_mm"] for finger in told["hand"]["fingers"].values()])
@@ -82,8 +84,8 @@ def test_recorded_markers_are_met_and_the_missing_counted(tmp_path, capsys, requ
     log = OPTICAL
     if not request.config.getoption("--all-recordings"):
         lines = OPTICAL.read_text().splitlines()
-        log = tmp_path / "third.csv"  # every third frame of all thirty seconds
-        log.write_text("\n".join([lines[0], *lines[1::3]]) + "\n")
+        log = tmp_path / "fifth.csv"  # every fifth frame of all thirty seconds
+        log.write_text("\n".join([lines[0], *lines[1::5]]) + "\n")
     profile = tmp_path / "me.toml"
     answer(capsys, "calibrate", log, "-o", profile)
     made = answer(capsys, "import", log, "--profile", profile, "-o", tmp_path / "log.mcap")
@@ -93,7 +95,7 @@ def test_recorded_markers_are_met_and_the_missing_counted(tmp_path, capsys, requ
 
 
 @needs_recordings
-@pytest.mark.parametrize("log", ["quest3_webxr/quest3_right.csv", "leap/grab.csv", "leap/handsplay_110fps.csv"])
+@pytest.mark.parametrize("log", ["quest3_webxr/quest3_right.csv", "leap/handsplay_110fps.csv"])
 def test_a_hand_calibrated_on_the_first_half_meets_the_second(log, tmp_path, capsys):
     lines = (SHARED / log).read_text().splitlines()
     first, second = tmp_path / "first.csv", tmp_path / "second.csv"
