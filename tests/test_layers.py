@@ -28,10 +28,11 @@ LAYERS = [
 EVERYWHERE = {"palmar", "numpy", "scipy"}
 DOORS = {
     "igl": ["eval/gap.py", "tools/close.py", "tools/solid.py"],
-    "manifold3d": ["tools/close.py", "tools/lattice.py", "tools/shapes.py"],
+    "manifold3d": ["tools/close.py", "tools/hand_palm.py", "tools/lattice.py", "tools/shapes.py"],
     "matplotlib": ["eval/figures.py"],
     "plotly": ["eval/page.py"],
     "pydantic": ["traces/scene_file.py"],
+    "pygltflib": ["tools/gltf_skin.py"],
     "rich": ["runtime/palmar/terminal.py"],
     "safetensors": ["runtime/palmar/model.py"],
     "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py"],

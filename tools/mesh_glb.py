@@ -54,7 +54,7 @@ def _glb_triangles(where: str, tree: dict[str, Any], binary: bytes) -> int:
         if int(buffer["byteLength"]) > len(binary):
             _raise_cut(where, f"a buffer of {buffer['byteLength']} bytes; {len(binary)} are there")
     for number in range(len(tree.get("accessors", []))):
-        _glb_values(where, tree, binary, number)
+        glb_values(where, tree, binary, number)
     triangles_of = []
     for number, mesh in enumerate(tree.get("meshes", [])):
         at = f"{where}:mesh {number}"
@@ -68,14 +68,14 @@ def _glb_primitive(at: str, tree: dict[str, Any], binary: bytes, primitive: dict
         return 0  # points and lines have no surface
     if mode != 4:
         raise BadMesh("E-MESH-FORMAT", at, "triangle strips and fans are not read; export plain triangles")
-    points = _glb_values(at, tree, binary, primitive["attributes"]["POSITION"])
+    points = glb_values(at, tree, binary, primitive["attributes"]["POSITION"])
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if len(bad):
         raise BadMesh("E-MESH-NAN", f"{at}:vertex {bad[0]}", f"{points[bad[0]].tolist()} is not finite")
     if "indices" not in primitive:
         corners = len(points)
     else:
-        index = _glb_values(at, tree, binary, primitive["indices"])
+        index = glb_values(at, tree, binary, primitive["indices"])
         corners = len(index)
         if corners and int(index.max()) >= len(points):
             raise BadMesh("E-MESH-INDEX", at, f"vertex {int(index.max())}; 0 to {len(points) - 1} are there")
@@ -84,7 +84,7 @@ def _glb_primitive(at: str, tree: dict[str, Any], binary: bytes, primitive: dict
     return corners // 3
 
 
-def _glb_values(where: str, tree: dict[str, Any], binary: bytes, number: int) -> np.ndarray:
+def glb_values(where: str, tree: dict[str, Any], binary: bytes, number: int) -> np.ndarray:
     """The values of an accessor, (count, columns), after its ranges are checked."""
     accessor = tree["accessors"][number]
     at = f"{where}:accessor {number}"

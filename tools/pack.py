@@ -33,7 +33,7 @@ SHAPE = "shape:"
 MAX_NAME = 100
 OBJECT_KEYS = ("name", "mesh", "units", "size_mm", "close", "error_mm", "spheres", "mode", "spheres_csv", "csv_units")
 # What the content of a pack depends on.
-PACKAGES = ("palmar", "numpy", "scipy", "trimesh", "manifold3d", "libigl")
+PACKAGES = ("palmar", "numpy", "scipy", "trimesh", "manifold3d", "libigl", "pygltflib")
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def build_pack(
         objects[source.name], warned = build_object(source, seed, report)
         warnings += warned
     say("writing", 1.0)
-    tools = {package: _version_of(package) for package in PACKAGES}
+    tools = {package: version_of(package) for package in PACKAGES}
     sha256 = save_pack(out, AssetPack(hand, objects, {"tools": tools, "seed": seed}))
     return {
         "pack": str(out),
@@ -284,7 +284,7 @@ def _tell_closing(closing: dict[str, Any]) -> str:
     return f"{done}{steps}; mesh to solid {lost:.2f} mm, solid to mesh {new:.2f} mm at most"
 
 
-def _version_of(package: str) -> str:
+def version_of(package: str) -> str:
     try:
         return version(package)
     except PackageNotFoundError:

@@ -74,3 +74,27 @@ def build(
             progress=progress,
         )
     print_json(answer) if json else print_build(answer)
+
+
+@app.command("fit-hand")
+def fit_hand(
+    hand: Annotated[Path, typer.Argument(metavar="HAND.glb", help="Rigged hand: GLB or glTF with a skin.")],
+    *,
+    out: OutFile,
+    units: Annotated[str, typer.Option(help="Unit of the file: m, cm, mm or in; glTF says m.")] = "m",
+    names: Annotated[Path | None, typer.Option(help="TOML that tells the names of the rig's joints.")] = None,
+    spheres: Annotated[int, typer.Option(min=1, help="Spheres of the palm, at most.")] = 250,
+    seed: Seed = 0,
+    json: Json = False,
+) -> None:
+    """Rigged hand mesh -> hand model with its own mesh, and how well the two agree."""
+    from palmar.files import require_file, require_place
+    from palmar.show import print_fit
+    from palmar.terminal import print_json, progress_bar
+    from palmar.tools.hand_fit import fit_hand as fit
+
+    require_file(hand)
+    require_place(out)
+    with progress_bar(not json) as progress:
+        answer = fit(hand, out, units=units, name_map=names, spheres=spheres, seed=seed, progress=progress)
+    print_json(answer) if json else print_fit(answer)

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmar.errors import BadPack
+from palmar.skin import LINKS, HandMesh
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 JOINTS = ("MCP", "PIP", "DIP")
@@ -47,6 +48,7 @@ class HandModel:
     palm_rotation_stiffness_n_m_per_rad: Array  # (1,)
     flexion_coupling: Array = field(default_factory=default_coupling)  # (5, 2), see palmar.coupling
     about: dict[str, Any] = field(default_factory=dict)  # name, side, source, sha256
+    mesh: HandMesh | None = None  # the surface that it was fitted to; it follows joints and axes of this hand only
 
 
 HAND_SHAPES: dict[str, tuple[int | None, ...]] = {
@@ -65,6 +67,15 @@ HAND_SHAPES: dict[str, tuple[int | None, ...]] = {
 }
 # Packs from before there was a coupling lack it; they get the default.
 MAY_BE_MISSING = {"hand/flexion_coupling"}
+
+
+# All of them or none.
+HAND_MESH: dict[str, tuple[tuple[int | None, ...], str]] = {
+    "vertices_m": ((None, 3), "float64"),
+    "faces": ((None, 3), "int32"),
+    "weights": ((None, LINKS), "float64"),
+    "flexion_rad": ((5, 3), "float64"),
+}
 
 
 @dataclass(frozen=True)
@@ -103,6 +114,9 @@ def save_pack(path: str | Path, pack: AssetPack) -> str:
     tensors: dict[str, NDArray[Any]] = {}
     for name in HAND_SHAPES:
         tensors[f"hand/{name}"] = np.ascontiguousarray(getattr(pack.hand, name), dtype=np.float64)
+    for name, (_, dtype) in HAND_MESH.items():
+        if pack.hand.mesh is not None:
+            tensors[f"hand/mesh/{name}"] = np.ascontiguousarray(getattr(pack.hand.mesh, name), dtype=dtype)
     for name, tree in pack.objects.items():
         for k, (spheres, parent) in enumerate(zip(tree.levels, tree.parents, strict=True)):
             tensors[f"object/{name}/level_{k}/spheres_m"] = np.ascontiguousarray(spheres, dtype=np.float64)
@@ -145,6 +159,8 @@ def load_pack(path: str | Path) -> AssetPack:
 
     parts = {name: tensors[f"hand/{name}"] for name in HAND_SHAPES if f"hand/{name}" in tensors}
     hand = HandModel(**parts, about=manifest["hand"])
+    if "hand/mesh/faces" in tensors:
+        hand = replace(hand, mesh=HandMesh(**{name: tensors[f"hand/mesh/{name}"] for name in HAND_MESH}))
     objects = {}
     for name, about in manifest["objects"].items():
         count = len(about["levels"])
@@ -190,6 +206,8 @@ def _check(where: str, tensors: dict[str, NDArray[Any]], manifest: dict[str, Any
         expected[f"object/{name}/faces"] = ((None, 3), "int32")
     for name in MAY_BE_MISSING - tensors.keys():
         del expected[name]
+    if any(name.startswith("hand/mesh/") for name in tensors):
+        expected |= {f"hand/mesh/{name}": shape_and_type for name, shape_and_type in HAND_MESH.items()}
     for name in expected.keys() - tensors.keys():
         raise BadPack("E-PACK-MISSING", f"{where}:{name}", "tensor is not in the file")
     for name in tensors.keys() - expected.keys():

@@ -93,6 +93,12 @@ def print_build(answer: dict[str, Any]) -> None:
         print(f"warning: {warning}", file=sys.stderr)
 
 
+def print_fit(answer: dict[str, Any]) -> None:
+    """The answer of `palmar.tools.hand_fit.fit_hand`."""
+    hand = answer["hand"]
+    print_fields({"hand": answer["out"], "side": hand["side"], "axes": hand["axes"], "sha256": answer["sha256"]})
+
+
 def print_replay(answer: dict[str, Any]) -> None:
     """The answer of `palmar.replay.replay_file`: how many steps had which status, then the file."""
     _print_status(answer["status"])

@@ -1,0 +1,195 @@
+"""The `fit-hand` verb: a rigged hand mesh -> HandModel with its own mesh, and how well the two agree."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from palmar.errors import BadMesh, PalmarError
+from palmar.model import FINGERS, AssetPack, HandModel, save_pack
+from palmar.skin import HandMesh
+from palmar.tools.capsule_fit import FingerSkin, capsule_gap, fit_finger
+from palmar.tools.cover import union_gap
+from palmar.tools.gltf_skin import read_skin
+from palmar.tools.hand_file import STIFFNESS, default_hand
+from palmar.tools.hand_frame import HandFrame, make_frame
+from palmar.tools.hand_palm import drop_useless, palm_solid, palm_spheres
+from palmar.tools.hand_shape import PosedHand, SkinPoints, pose_hand, skin_points, sweep_angles
+from palmar.tools.mesh import METRES_PER_UNIT
+from palmar.tools.pack import PACKAGES, version_of
+from palmar.tools.rig import Rig, make_rig
+from palmar.tools.solid import signed_distance
+from palmar.tools.surface import cap, keep_above, mixed
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+SPHERES = 250
+SPACING_M = 2e-3  # between the skin points that the capsules are fitted to
+# Poses of the fit: degrees of all flexions, and what a gap there counts beside one at rest.
+SWEEP = ((30.0, 0.3), (60.0, 0.3), (90.0, 0.3))
+ROUNDS = 2  # palm and capsules settle each other
+
+
+def fit_hand(
+    path: str | Path,
+    out: str | Path,
+    *,
+    name_map: str | Path | None = None,
+    units: str = "m",
+    spheres: int = SPHERES,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Fit a rigged hand and write it as a pack without objects, which `build` takes as a hand.
+
+    Returns {"out", "sha256", "hand": what the pack says of it}. Raises BadMesh, BadPack or PalmarError; nothing is
+    written then.
+    """
+    where, say = str(path), progress or (lambda text, fraction: None)
+    if units not in METRES_PER_UNIT:
+        raise PalmarError("E-CONF", "--units", f"{units!r}; known are {', '.join(METRES_PER_UNIT)}")
+    say("reading", 0.0)
+    rig = make_rig(where, read_skin(path), name_map)
+    frame = make_frame(where, rig, METRES_PER_UNIT[units])
+    mesh = hand_mesh(where, rig, frame, METRES_PER_UNIT[units])
+    hand = fit_model(where, frame, mesh, spheres, seed, say)
+    about = {
+        "name": Path(path).stem,
+        "side": frame.side,
+        "source": rig.mesh.source,
+        "sha256": rig.mesh.sha256,
+        "units": units,
+        "axes": frame.axis_source,
+        "axis_error_deg": frame.axis_error_deg.tolist(),
+        **hand.about,
+    }
+    tools = {package: version_of(package) for package in PACKAGES}
+    sha256 = save_pack(out, AssetPack(replace(hand, about=about), {}, {"tools": tools, "seed": seed}))
+    return {"out": str(out), "sha256": sha256, "hand": about}
+
+
+def hand_mesh(where: str, rig: Rig, frame: HandFrame, metres_per_unit: float) -> HandMesh:
+    """The rig's mesh in the palm frame, equal vertices welded, cut at the wrist and closed there."""
+    vertices = (metres_per_unit * rig.mesh.vertices - frame.origin) @ frame.rotation.T
+    weights = np.zeros((len(vertices), 16))
+    np.add.at(weights.T, rig.link, rig.mesh.weights.T)
+    vertices, weights, faces = _weld(vertices, weights, rig.mesh.faces)
+    mix, faces = keep_above(vertices[:, 1], faces, 0.0)
+    if not len(faces):
+        raise BadMesh("E-RIG-EMPTY", where, "no triangle beyond the wrist; a hand is needed")
+    vertices, weights = mixed(mix, vertices), mixed(mix, weights)
+    closed, faces = cap(vertices, faces)
+    palm_only = np.zeros((len(closed) - len(vertices), 16))
+    palm_only[:, 0] = 1
+    return HandMesh(closed, faces.astype(np.int32), np.vstack([weights, palm_only]), frame.rest_flexion_rad)
+
+
+def fit_model(where: str, frame: HandFrame, mesh: HandMesh, spheres: int, seed: int, progress: Progress) -> HandModel:
+    """Palm spheres and capsules for a mesh, in turn; `about` holds what was done."""
+    solid = palm_solid(where, mesh)
+    palm, parameters = palm_spheres(*solid, spheres, seed, lambda text, part: progress(f"palm: {text}", 0.4 * part))
+    capsules = _start(frame)
+    hand = _model(frame, mesh, palm, capsules)
+    skin = skin_points(mesh, SPACING_M)
+    rest = pose_hand(skin, hand, mesh.flexion_rad)
+    poses = [(rest, 1.0), *((pose_hand(skin, hand, sweep_angles(hand, d)), weight) for d, weight in SWEEP)]
+    capsules = _start(frame, skin, rest)
+    for turn in range(ROUNDS):
+        for f in range(5):
+            progress(f"{FINGERS[f]}", 0.5 + 0.4 * (5 * turn + f) / (5 * ROUNDS))
+            capsules[f] = fit_finger(_finger_skin(skin, poses, palm, f), capsules[f])
+        if turn + 1 < ROUNDS:
+            palm = palm[_useful(skin, poses, palm, capsules)]
+    return replace(_model(frame, mesh, palm, capsules), about={"palm": {**parameters, "kept": len(palm)}})
+
+
+def _finger_skin(skin: SkinPoints, poses: list[tuple[PosedHand, float]], palm: Array, finger: int) -> list[FingerSkin]:
+    own = np.isin(skin.link, 1 + 3 * finger + np.arange(3))
+    mean = skin.area_m2.mean()
+    found = []
+    for posed, weight in poses:
+        at = own & posed.open_air
+        points = posed.points_m[at]
+        local = np.array([posed.local(1 + 3 * finger + j, points) for j in range(3)])
+        found.append(FingerSkin(local, union_gap(palm, points), weight, np.sqrt(skin.area_m2[at] / mean)))
+    return found
+
+
+def _useful(skin: SkinPoints, poses: list[tuple[PosedHand, float]], palm: Array, capsules: Array) -> NDArray[np.bool_]:
+    """Palm spheres that the skin at rest needs, or that stand out nowhere."""
+    rest = poses[0][0]
+    gap = np.full(len(skin.face), np.inf)
+    for link in range(1, 16):
+        capsule = capsules.reshape(15, 8)[link - 1]
+        own, _ = capsule_gap(capsule[:6].reshape(2, 3), capsule[6:], rest.local(link, rest.points_m))
+        gap = np.minimum(gap, own)
+    out = np.max([signed_distance(posed.solid, palm[:, :3])[0] + palm[:, 3] for posed, _ in poses[1:]], axis=0)
+    return drop_useless(palm, rest.points_m[skin.real], gap[skin.real], out)
+
+
+def _start(frame: HandFrame, skin: SkinPoints | None = None, rest: PosedHand | None = None) -> Array:
+    """Capsules (5, 3, 8) from joint to joint, as thick as the skin stands off the bone."""
+    joints = np.concatenate([frame.joint_m, frame.tip_m[:, None]], axis=1)
+    capsules = np.empty((5, 3, 8))
+    for f in range(5):
+        for j in range(3):
+            bone = joints[f, j + 1] - joints[f, j]
+            length = float(np.linalg.norm(bone))
+            radius, end = 0.25 * length, length
+            if skin is not None and rest is not None:
+                offset = rest.local(1 + 3 * f + j, rest.points_m[skin.link == 1 + 3 * f + j]) - joints[f, j]
+                along = offset @ (bone / length)
+                radius = float(np.median(np.linalg.norm(offset - along[:, None] * (bone / length), axis=1)))
+                end = max(float(along.max()) - radius, 0.2 * length) if j == 2 else length
+            capsules[f, j] = [*joints[f, j], *(joints[f, j] + bone * end / length), radius, radius]
+    return capsules
+
+
+def _model(frame: HandFrame, mesh: HandMesh, palm: Array, capsules: Array) -> HandModel:
+    """Limits and stiffness of the default hand, the limits wide enough for the pose of the mesh."""
+    usual = default_hand()
+    flexion = usual.flexion_limit_rad.copy()
+    flexion[..., 0] = np.minimum(flexion[..., 0], mesh.flexion_rad)
+    flexion[..., 1] = np.maximum(flexion[..., 1], mesh.flexion_rad)
+    phalanx, radius = frusta_of(capsules)
+    return HandModel(
+        palm_spheres_m=palm,
+        joint_m=frame.joint_m,
+        flexion_axis=frame.flexion_axis,
+        abduction_axis=frame.abduction_axis,
+        phalanx_m=phalanx,
+        phalanx_radius_m=radius,
+        flexion_limit_rad=flexion,
+        abduction_limit_rad=usual.abduction_limit_rad,
+        joint_stiffness_n_m_per_rad=np.full((5, 3), STIFFNESS["joint_n_m_per_rad"]),
+        palm_stiffness_n_per_m=np.array([STIFFNESS["palm_n_per_m"]]),
+        palm_rotation_stiffness_n_m_per_rad=np.array([STIFFNESS["palm_rotation_n_m_per_rad"]]),
+        mesh=mesh,
+    )
+
+
+def frusta_of(capsules: Array) -> tuple[Array, Array]:
+    """D and E (..., 2, 3) and their radii (..., 2) of the frusta whose tapered capsules are given (..., 8)."""
+    c1, c2, r = capsules[..., :3], capsules[..., 3:6], capsules[..., 6:]
+    length = np.linalg.norm(c2 - c1, axis=-1, keepdims=True)
+    sin = (r[..., :1] - r[..., 1:]) / length
+    forward = (c2 - c1) / length
+    # The sphere meets the cone where its radius, seen from the axis, is r cos(phi), r sin(phi) ahead of its centre.
+    ends = np.stack([c1 + r[..., :1] * sin * forward, c2 + r[..., 1:] * sin * forward], axis=-2)
+    return ends, r * np.sqrt(1 - sin * sin)
+
+
+def _weld(vertices: Array, weights: Array, faces: NDArray[np.integer]) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Vertices in one place become one: seams of a texture part them in the file."""
+    size = 1e-6 * np.ptp(vertices, axis=0).max()
+    _, first, number = np.unique(np.round(vertices / size), axis=0, return_index=True, return_inverse=True)
+    welded = number.reshape(-1)[faces].astype(np.int64)
+    whole = (welded[:, 0] != welded[:, 1]) & (welded[:, 1] != welded[:, 2]) & (welded[:, 2] != welded[:, 0])
+    return vertices[first], weights[first], welded[whole]
