@@ -35,6 +35,7 @@ DOORS = {
     "pygltflib": ["tools/gltf_skin.py"],
     "rich": ["runtime/palmar/terminal.py"],
     "safetensors": ["runtime/palmar/model.py"],
+    "threadpoolctl": ["tools/hand_fit.py"],
     "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py"],
     "typer": [f"runtime/palmar/cli{name}.py" for name in ("", "_app", "_calibrate", "_make", "_trace", "_judge")],
 }

@@ -29,7 +29,6 @@ class FingerSkin:
 
     local_m: Array  # (3, n, 3) the points in the zero pose of each of the three phalanges
     other_gap_m: Array  # (n,) signed gap to what else of the hand covers them
-    share: float  # what a gap at this pose counts beside one at rest
     weight: Array  # (n,) root of each point's area
 
 
@@ -46,20 +45,19 @@ def capsule_gap(ends: Array, radii: Array, points: Array) -> tuple[Array, Array]
     return np.hypot(along - at * length, across) - (radii[0] + at * (radii[1] - radii[0])), at
 
 
-def fit_finger(poses: list[FingerSkin], start: Array) -> Array:
-    """Three capsules (3, 8): ends c1, c2 and radii r1, r2 of each at the zero pose, metres. start: (3, 8) likewise."""
+def fit_finger(poses: list[FingerSkin], shares: list[float], start: Array) -> Array:
+    """Three capsules (3, 8): ends c1, c2 and radii r1, r2 of each at the zero pose, metres. start: (3, 8) likewise.
+
+    shares: what a gap at each pose counts.
+    """
     low = start - np.array([REACH_M] * 6 + [1.0] * 2)
     high = start + np.array([REACH_M] * 6 + [1.0] * 2)
     low[:, 6:], high[:, 6:] = MIN_RADIUS_M, MAX_RADIUS_M
     begin = np.clip(start, low + 1e-6, high - 1e-6)
-
-    def residuals(flat: Array) -> tuple[Array, Array]:
-        return _residuals(poses, flat.reshape(3, 8))
-
     found = least_squares(
-        lambda flat: residuals(flat)[0],
+        lambda flat: _residuals(poses, shares, flat.reshape(3, 8)),
         begin.ravel(),
-        jac=lambda flat: residuals(flat)[1],
+        jac=lambda flat: _slopes(poses, shares, flat.reshape(3, 8)),
         bounds=(low.ravel(), high.ravel()),
         x_scale=1e-3,
         ftol=1e-6,
@@ -68,17 +66,31 @@ def fit_finger(poses: list[FingerSkin], start: Array) -> Array:
     return found.x.reshape(3, 8)
 
 
-def _residuals(poses: list[FingerSkin], capsules: Array) -> tuple[Array, Array]:
-    """Weighted powers of the signed gaps to the union (m,), and their derivatives (m, 24)."""
-    values, slopes = [], []
-    for pose in poses:
-        gap = pose.other_gap_m.copy()
-        owner = np.full(len(gap), -1)
-        place = np.zeros(len(gap))
-        for j in range(3):
-            own, at = capsule_gap(capsules[j, :6].reshape(2, 3), capsules[j, 6:], pose.local_m[j])
-            nearer = own < gap
-            gap[nearer], owner[nearer], place[nearer] = own[nearer], j, at[nearer]
+def finger_gaps(pose: FingerSkin, capsules: Array) -> tuple[Array, NDArray[np.int64], Array]:
+    """Signed gap (n,) to capsules (3, 8) and all else, which phalanx is nearest or -1, and the place on its axis."""
+    gap = pose.other_gap_m.copy()
+    owner, place = np.full(len(gap), -1), np.zeros(len(gap))
+    for j in range(3):
+        own, at = capsule_gap(capsules[j, :6].reshape(2, 3), capsules[j, 6:], pose.local_m[j])
+        nearer = own < gap
+        gap[nearer], owner[nearer], place[nearer] = own[nearer], j, at[nearer]
+    return gap, owner, place
+
+
+def _residuals(poses: list[FingerSkin], shares: list[float], capsules: Array) -> Array:
+    """Weighted powers of the signed gaps, all poses in a row (m,)."""
+    values = []
+    for pose, share in zip(poses, shares, strict=True):
+        gap = share * MM * finger_gaps(pose, capsules)[0]
+        values.append(pose.weight * np.sign(gap) * np.abs(gap) ** POWER)
+    return np.concatenate(values)
+
+
+def _slopes(poses: list[FingerSkin], shares: list[float], capsules: Array) -> Array:
+    """Derivatives (m, 24) of the residuals by the capsules' numbers."""
+    slopes = []
+    for pose, share in zip(poses, shares, strict=True):
+        gap, owner, place = finger_gaps(pose, capsules)
         slope = np.zeros((len(gap), 3, 8))
         for j in range(3):
             mine = np.flatnonzero(owner == j)
@@ -86,8 +98,6 @@ def _residuals(poses: list[FingerSkin], capsules: Array) -> tuple[Array, Array]:
             from_axis = pose.local_m[j, mine] - (1 - t) * capsules[j, :3] - t * capsules[j, 3:6]
             normal = from_axis / np.maximum(np.linalg.norm(from_axis, axis=1), 1e-9)[:, None]
             slope[mine, j] = np.hstack([-(1 - t) * normal, -t * normal, t - 1, -t])
-        size = np.maximum(np.abs(gap) * pose.share * MM, 1e-6)
-        values.append(pose.weight * np.sign(gap) * size**POWER)
-        steep = pose.weight * POWER * size ** (POWER - 1) * pose.share * MM
+        steep = pose.weight * POWER * np.abs(share * MM * gap) ** (POWER - 1) * share * MM
         slopes.append(steep[:, None] * slope.reshape(len(gap), 24))
-    return np.concatenate(values), np.concatenate(slopes)
+    return np.concatenate(slopes)

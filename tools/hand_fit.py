@@ -10,31 +10,32 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from palmar.errors import BadMesh, PalmarError
 from palmar.model import FINGERS, AssetPack, HandModel, save_pack
 from palmar.skin import HandMesh
-from palmar.tools.capsule_fit import FingerSkin, capsule_gap, fit_finger
-from palmar.tools.cover import union_gap
+from palmar.tools.capsule_fit import FingerSkin, fit_finger
+from palmar.tools.cover import weighted_quantile
 from palmar.tools.gltf_skin import read_skin
 from palmar.tools.hand_file import STIFFNESS, default_hand
 from palmar.tools.hand_frame import HandFrame, make_frame
 from palmar.tools.hand_palm import drop_useless, palm_solid, palm_spheres
 from palmar.tools.hand_shape import PosedHand, SkinPoints, pose_hand, skin_points, sweep_angles
+from palmar.tools.hand_quality import gap_samples, hand_quality, hybrid_gap, protrusion_samples
 from palmar.tools.mesh import METRES_PER_UNIT
 from palmar.tools.pack import PACKAGES, version_of
 from palmar.tools.rig import Rig, make_rig
-from palmar.tools.solid import signed_distance
+from palmar.tools.solid import Solid, make_solid, signed_distance
 from palmar.tools.surface import cap, keep_above, mixed
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 SPHERES = 250
-SPACING_M = 2e-3  # between the skin points that the capsules are fitted to
-# Poses of the fit: degrees of all flexions, and what a gap there counts beside one at rest.
-SWEEP = ((30.0, 0.3), (60.0, 0.3), (90.0, 0.3))
-ROUNDS = 2  # palm and capsules settle each other
+SPACING_M = 3e-3  # between the skin points that the capsules are fitted to
+SWEEP_DEG = (30.0, 60.0, 90.0)  # poses of the fit beside rest
+SHARE = 0.3  # what a gap in the sweep counts beside one at rest: the sweep may be 2.5 times worse
 
 
 def fit_hand(
@@ -49,7 +50,7 @@ def fit_hand(
 ) -> dict[str, Any]:
     """Fit a rigged hand and write it as a pack without objects, which `build` takes as a hand.
 
-    Returns {"out", "sha256", "hand": what the pack says of it}. Raises BadMesh, BadPack or PalmarError; nothing is
+    Returns {"out", "sha256", "hand": what the pack says of it, "poses": its errors pose by pose (`hand_quality`)}. Raises BadMesh, BadPack or PalmarError; nothing is
     written then.
     """
     where, say = str(path), progress or (lambda text, fraction: None)
@@ -59,7 +60,11 @@ def fit_hand(
     rig = make_rig(where, read_skin(path), name_map)
     frame = make_frame(where, rig, METRES_PER_UNIT[units])
     mesh = hand_mesh(where, rig, frame, METRES_PER_UNIT[units])
-    hand = fit_model(where, frame, mesh, spheres, seed, say)
+    # Small matrices: a second thread of the linear algebra would only wait for the first.
+    with threadpool_limits(1):
+        hand = fit_model(where, frame, mesh, spheres, seed, say)
+        say("measuring", 0.9)
+        quality = hand_quality(hand, seed)
     about = {
         "name": Path(path).stem,
         "side": frame.side,
@@ -69,10 +74,11 @@ def fit_hand(
         "axes": frame.axis_source,
         "axis_error_deg": frame.axis_error_deg.tolist(),
         **hand.about,
+        "error": {"rest": quality["rest"], "sweep": quality["sweep"], "volume_ratio": quality["volume_ratio"]},
     }
     tools = {package: version_of(package) for package in PACKAGES}
     sha256 = save_pack(out, AssetPack(replace(hand, about=about), {}, {"tools": tools, "seed": seed}))
-    return {"out": str(out), "sha256": sha256, "hand": about}
+    return {"out": str(out), "sha256": sha256, "hand": about, "poses": quality["poses"]}
 
 
 def hand_mesh(where: str, rig: Rig, frame: HandFrame, metres_per_unit: float) -> HandMesh:
@@ -91,47 +97,45 @@ def hand_mesh(where: str, rig: Rig, frame: HandFrame, metres_per_unit: float) ->
     return HandMesh(closed, faces.astype(np.int32), np.vstack([weights, palm_only]), frame.rest_flexion_rad)
 
 
-def fit_model(where: str, frame: HandFrame, mesh: HandMesh, spheres: int, seed: int, progress: Progress) -> HandModel:
-    """Palm spheres and capsules for a mesh, in turn; `about` holds what was done."""
-    solid = palm_solid(where, mesh)
-    palm, parameters = palm_spheres(*solid, spheres, seed, lambda text, part: progress(f"palm: {text}", 0.4 * part))
-    capsules = _start(frame)
-    hand = _model(frame, mesh, palm, capsules)
+def fit_model(
+    where: str, frame: HandFrame, mesh: HandMesh, spheres: int, seed: int, progress: Progress
+) -> HandModel:
+    """Capsules, then palm spheres for what they leave of a mesh; `about` holds what was done."""
+    palm_surface = palm_solid(where, mesh)
+    palm_body = make_solid(*palm_surface)
     skin = skin_points(mesh, SPACING_M)
-    rest = pose_hand(skin, hand, mesh.flexion_rad)
-    poses = [(rest, 1.0), *((pose_hand(skin, hand, sweep_angles(hand, d)), weight) for d, weight in SWEEP)]
+    bare = _model(frame, mesh, np.empty((0, 4)), _start(frame))
+    rest = pose_hand(skin, bare, mesh.flexion_rad)
+    bent = [pose_hand(skin, bare, sweep_angles(bare, degrees)) for degrees in SWEEP_DEG]
     capsules = _start(frame, skin, rest)
-    for turn in range(ROUNDS):
-        for f in range(5):
-            progress(f"{FINGERS[f]}", 0.5 + 0.4 * (5 * turn + f) / (5 * ROUNDS))
-            capsules[f] = fit_finger(_finger_skin(skin, poses, palm, f), capsules[f])
-        if turn + 1 < ROUNDS:
-            palm = palm[_useful(skin, poses, palm, capsules)]
+    for f in range(5):
+        progress(FINGERS[f], 0.05 + 0.06 * f)
+        poses = [_finger_skin(skin, posed, palm_body, f) for posed in (rest, *bent)]
+        capsules[f] = fit_finger(poses, [1.0] + [SHARE] * len(bent), capsules[f])
+    palm, parameters = palm_spheres(
+        *palm_surface, spheres, seed, lambda text, part: progress(f"palm: {text}", 0.35 + 0.5 * part)
+    )
+    rows = capsules.reshape(15, 8)
+    out = np.max([signed_distance(posed.solid, palm[:, :3])[0] + palm[:, 3] for posed in bent], axis=0)
+    by_fingers = hybrid_gap(rest, np.empty((0, 4)), rows, rest.points_m)
+    palm = palm[drop_useless(palm, rest.points_m[skin.real], by_fingers[skin.real], out)]
+    palm = _balanced(skin, rest, palm, rows, seed)
     return replace(_model(frame, mesh, palm, capsules), about={"palm": {**parameters, "kept": len(palm)}})
 
 
-def _finger_skin(skin: SkinPoints, poses: list[tuple[PosedHand, float]], palm: Array, finger: int) -> list[FingerSkin]:
-    own = np.isin(skin.link, 1 + 3 * finger + np.arange(3))
-    mean = skin.area_m2.mean()
-    found = []
-    for posed, weight in poses:
-        at = own & posed.open_air
-        points = posed.points_m[at]
-        local = np.array([posed.local(1 + 3 * finger + j, points) for j in range(3)])
-        found.append(FingerSkin(local, union_gap(palm, points), weight, np.sqrt(skin.area_m2[at] / mean)))
-    return found
+def _finger_skin(skin: SkinPoints, posed: PosedHand, palm: Solid, finger: int) -> FingerSkin:
+    at = np.isin(skin.link, 1 + 3 * finger + np.arange(3)) & posed.open_air
+    points = posed.points_m[at]
+    local = np.array([posed.local(1 + 3 * finger + j, points) for j in range(3)])
+    return FingerSkin(local, signed_distance(palm, points)[0], np.sqrt(skin.area_m2[at] / skin.area_m2.mean()))
 
 
-def _useful(skin: SkinPoints, poses: list[tuple[PosedHand, float]], palm: Array, capsules: Array) -> NDArray[np.bool_]:
-    """Palm spheres that the skin at rest needs, or that stand out nowhere."""
-    rest = poses[0][0]
-    gap = np.full(len(skin.face), np.inf)
-    for link in range(1, 16):
-        capsule = capsules.reshape(15, 8)[link - 1]
-        own, _ = capsule_gap(capsule[:6].reshape(2, 3), capsule[6:], rest.local(link, rest.points_m))
-        gap = np.minimum(gap, own)
-    out = np.max([signed_distance(posed.solid, palm[:, :3])[0] + palm[:, 3] for posed, _ in poses[1:]], axis=0)
-    return drop_useless(palm, rest.points_m[skin.real], gap[skin.real], out)
+def _balanced(skin: SkinPoints, rest: PosedHand, palm: Array, capsules: Array, seed: int) -> Array:
+    """Palm spheres that stand out as far as they leave bare, at the 99th percentile: capsules cover their seams."""
+    gap = gap_samples(skin, rest, palm, capsules)[0]
+    out = protrusion_samples(rest, palm, capsules, seed)[0]
+    more = (weighted_quantile(*gap, 0.99) - weighted_quantile(*out, 0.99)) / 2000
+    return palm + np.array([0, 0, 0, max(more, -0.5 * float(palm[:, 3].min()))])
 
 
 def _start(frame: HandFrame, skin: SkinPoints | None = None, rest: PosedHand | None = None) -> Array:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from palmar.errors import BadMesh
 from palmar.skin import HandMesh
-from palmar.tools.cover import union_gap
 from palmar.tools.sphere_tree import Progress, build_levels
 from palmar.tools.surface import cap, keep_above, largest_part, mixed
 
@@ -54,15 +53,18 @@ def drop_useless(spheres: Array, points: Array, other_gap_m: Array, stands_out_m
     other_gap_m: (n,) of the points to the fingers' capsules; stands_out_m: (p,) how far each sphere stands out of the skin
     when the fingers bend. The worst go first.
     """
-    gap = np.stack([union_gap(sphere[None], points) for sphere in spheres], axis=1)
-    kept = np.ones(len(spheres), dtype=bool)
+    gap = np.linalg.norm(points[:, None] - spheres[None, :, :3], axis=2) - spheres[:, 3]
     allowed = np.maximum(NEEDED_M, np.minimum(gap.min(axis=1), other_gap_m))
+    # A point that the rest of the hand covers asks nothing of the palm.
+    asking = other_gap_m > allowed
+    gap, allowed = gap[asking], allowed[asking]
+    kept = np.ones(len(spheres), dtype=bool)
     for k in np.argsort(-stands_out_m):
         if stands_out_m[k] <= NEEDED_M:
             break
         kept[k] = False
-        rest = np.minimum(gap[:, kept].min(axis=1), other_gap_m)
-        kept[k] = bool((rest > allowed).any())
+        mine = gap[:, k] <= allowed
+        kept[k] = bool((gap[np.ix_(mine, kept)].min(axis=1) > allowed[mine]).any())
     return kept
 
 
