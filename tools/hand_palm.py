@@ -19,13 +19,16 @@ Array = NDArray[np.float64]
 # Palm is where its share of the skin is above this times the largest share of a phalanx: webs between fingers, which no
 # capsule can fill, are palm with it (docs/decisions.md has the figures).
 SHARE = 0.1
+COARSE = 10_000  # faces
 NEEDED_M = 0.0005  # a sphere is needed where the rest of the hand leaves more than this bare
 
 
 def palm_solid(where: str, mesh: HandMesh) -> tuple[Array, NDArray[np.int64]]:
     """Vertices (v, 3) and faces (f, 3) of the palm without the thumb's metacarpal, closed. Raises BadMesh."""
     # Shares are not linear where three links meet, so the seam is sought on finer triangles.
-    values, faces = _halved(np.hstack([mesh.vertices_m, mesh.weights]), mesh.faces.astype(np.int64))
+    values, faces = np.hstack([mesh.vertices_m, mesh.weights]), mesh.faces.astype(np.int64)
+    if len(faces) < COARSE:
+        values, faces = _halved(values, faces)
     palm = values[:, 3] - SHARE * values[:, 4:].max(axis=1)
     mix, faces = keep_above(palm, faces, 0.0)
     vertices = mixed(mix, values[:, :3])

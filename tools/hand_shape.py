@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from palmar.model import HandModel
 from palmar.skin import HandMesh, link_motions, posed_vertices
-from palmar.tools.solid import Solid, is_inside, make_solid
+from palmar.tools.solid import Solid, is_inside, make_solid, morton_order
 from palmar.tools.surface import spread
 
 Array = NDArray[np.float64]
@@ -45,10 +45,22 @@ class PosedHand:
 
 
 def skin_points(mesh: HandMesh, spacing_m: float) -> SkinPoints:
-    """About one point for each spacing^2, without chance, so that mirrored hands get mirrored points."""
+    """About one point for each spacing^2 and, on a coarse mesh, at least one on each face."""
     face, mix, area = spread(mesh.vertices_m, mesh.faces, spacing_m)
+    wanted = int(area.sum() / spacing_m**2)
+    if len(face) > 2 * wanted:
+        picked = _evenly(mesh.vertices_m[mesh.faces].mean(axis=1)[face], area, wanted)
+        face, mix, area = face[picked], mix[picked], np.full(len(picked), area.sum() / len(picked))
     shares = np.einsum("nk,nkl->nl", mix, mesh.weights[mesh.faces[face]])
     return SkinPoints(mesh, face, mix, area, shares.argmax(axis=1), ~mesh.is_cap[face])
+
+
+def _evenly(points: Array, area: Array, count: int) -> NDArray[np.intp]:
+    """So many of the points, each for the same area, one after the other along a space-filling curve."""
+    order = morton_order(points)
+    ends = np.cumsum(area[order])
+    at = (np.arange(count) + 0.5) * ends[-1] / count
+    return order[np.minimum(np.searchsorted(ends, at), len(order) - 1)]
 
 
 def pose_hand(skin: SkinPoints, hand: HandModel, flexion_rad: Array) -> PosedHand:

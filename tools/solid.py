@@ -84,7 +84,7 @@ def sample_surface(solid: Solid, count: int, seed: int) -> tuple[Array, NDArray[
     """Area-uniform, evenly spread points on the surface: (count, 3), and the face (count,) of each."""
     rng = np.random.default_rng(seed)
     # Systematic sampling along a space-filling order of the faces: each gets its share of points to within one.
-    order = _morton_order(solid.vertices[solid.faces].mean(axis=1))
+    order = morton_order(solid.vertices[solid.faces].mean(axis=1))
     ends = np.cumsum(solid.areas[order])
     at = (np.arange(count) + rng.random()) * (ends[-1] / count)
     slot = np.minimum(np.searchsorted(ends, at, side="right"), len(order) - 1)
@@ -168,7 +168,7 @@ def _double_area(a: Array, b: Array, c: Array) -> Array:
     return np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-def _morton_order(points: Array) -> NDArray[np.int64]:
+def morton_order(points: Array) -> NDArray[np.int64]:
     """Order of points (n, 3) along a Z curve of 2^10 cells a side."""
     low = points.min(axis=0)
     cell = ((points - low) / max(np.ptp(points, axis=0).max(), 1e-300) * 1023).astype(np.int64)
