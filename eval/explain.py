@@ -8,6 +8,10 @@ MEANING = {
     "penetration_mesh": (
         "Deepest point of the graphic hand inside the true mesh: error of the solver and of the sphere model together."
     ),
+    "penetration_hand_mesh": (
+        "Deepest point of the hand's own mesh inside the true mesh of the object: true surface against true surface. "
+        "Only fitted hands have a mesh."
+    ),
     "hover": "Gap to the true mesh of a phalanx that reports contact: the hand stops before it touches.",
     "wrong_side": "Steps in which a link ends on the far side of a plate or shell.",
     "force_variation": (

@@ -151,10 +151,11 @@ def fingertips(hand: HandModel, poses: Poses) -> Array:
     return phalanx_capsules(hand, poses)[2][:, 2::3]
 
 
-def in_object_frame(run: Run, points: Array) -> Array:
-    """Points (n, k, 3) of the world in the object's frame of each step of the run."""
-    object_from_world = _rotation(run.object_rotation_wxyz).transpose(0, 2, 1)
-    return np.einsum("nab,nkb->nka", object_from_world, points - run.object_position_m[:, None])
+def in_object_frame(run: Run, points: Array, first: int = 0) -> Array:
+    """Points (n, k, 3) of the world in the object's frame of n steps of the run from `first` on."""
+    steps = slice(first, first + len(points))
+    object_from_world = _rotation(run.object_rotation_wxyz[steps]).transpose(0, 2, 1)
+    return np.einsum("nab,nkb->nka", object_from_world, points - run.object_position_m[steps, None])
 
 
 def shape_in_object(hand: HandModel, poses: Poses, run: Run) -> Shape:

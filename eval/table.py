@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from palmar.eval import contact_set, cost, energy, force, motion, penetration, slide, timing
+from palmar.eval import contact_set, cost, energy, force, hand_mesh, motion, penetration, slide, timing
 from palmar.eval.case import Case, NotMeasured
 
 Array = NDArray[np.float64]
@@ -99,6 +99,13 @@ METRICS: tuple[Metric, ...] = (
         "lower",
         penetration.penetration_mesh,
         (Stat("max", np.max, penetration.penetration_mesh_limit), Stat("p99", P99)),
+    ),
+    Metric(
+        "penetration_hand_mesh",
+        "mm",
+        "lower",
+        hand_mesh.penetration_hand_mesh,
+        (Stat("max", np.max, hand_mesh.penetration_hand_mesh_limit), Stat("p99", P99)),
     ),
     Metric("hover", "mm", "lower", penetration.hover, (Stat("max", np.max), Stat("p99", P99, 0.25))),
     Metric("wrong_side", "steps", "lower", penetration.wrong_side_steps, (Stat("sum", np.sum, 0.0),)),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from palmar.errors import BadMesh
 from palmar.skin import HandMesh
 from palmar.tools.sphere_tree import Progress, build_levels
-from palmar.tools.surface import cap, keep_above, largest_part, mixed
+from palmar.tools.surface import cap, halved, keep_above, largest_part, mixed
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ def palm_solid(where: str, mesh: HandMesh) -> tuple[Array, NDArray[np.int64]]:
     # Shares are not linear where three links meet, so the seam is sought on finer triangles.
     values, faces = np.hstack([mesh.vertices_m, mesh.weights]), mesh.faces.astype(np.int64)
     if len(faces) < COARSE:
-        values, faces = _halved(values, faces)
+        values, faces = halved(values, faces)
     palm = values[:, 3] - SHARE * values[:, 4:].max(axis=1)
     mix, faces = keep_above(palm, faces, 0.0)
     vertices = mixed(mix, values[:, :3])
@@ -69,15 +69,3 @@ def drop_useless(spheres: Array, points: Array, other_gap_m: Array, stands_out_m
         mine = gap[:, k] <= allowed
         kept[k] = bool((gap[np.ix_(mine, kept)].min(axis=1) > allowed[mine]).any())
     return kept
-
-
-def _halved(values: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Every triangle cut in four, values (v, k) mixed alike."""
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    unique, number = np.unique(edges, axis=0, return_inverse=True)
-    middle = len(values) + number.reshape(3, -1).T  # of edges ab, bc, ca
-    values = np.vstack([values, values[unique].mean(axis=1)])
-    a, b, c = faces.T
-    ab, bc, ca = middle.T
-    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return values, np.concatenate([np.stack(part, axis=1) for part in parts])

@@ -19,6 +19,11 @@ LEVEL_ERRORS = [(figure, stat) for figure in ("protrusion_mm", "gap_mm") for sta
 RESIDUAL_STATS = ("p50", "p99", "max")
 LEVEL_ERRORS += [("normal_error_deg", "median"), ("normal_error_deg", "p95")]
 
+FIT_COLUMNS = ["part", "at rest: protrusion max mm", "p99", "mean", "gap max mm", "p99", "mean"]
+FIT_COLUMNS += ["bent: protrusion p99 mm", "gap p99 mm"]
+FIT_ERRORS = [("rest", figure, stat) for figure, stat in LEVEL_ERRORS[:6]]
+FIT_ERRORS += [("sweep", "protrusion_mm", "p99"), ("sweep", "gap_mm", "p99")]
+
 
 def describe(content: AssetPack | Trace | Run) -> dict[str, Any]:
     """What `show` says of a file; plain values that JSON can hold."""
@@ -94,9 +99,16 @@ def print_build(answer: dict[str, Any]) -> None:
 
 
 def print_fit(answer: dict[str, Any]) -> None:
-    """The answer of `palmar.tools.hand_fit.fit_hand`."""
+    """The answer of `palmar.tools.hand_fit.fit_hand`: its errors at rest and the worst of a sweep, then the file."""
     hand = answer["hand"]
-    print_fields({"hand": answer["out"], "side": hand["side"], "axes": hand["axes"], "sha256": answer["sha256"]})
+    rows = [
+        (part, *(hand["error"][pose][part][figure][stat] for pose, figure, stat in FIT_ERRORS))
+        for part in hand["error"]["rest"]
+    ]
+    print_table(FIT_COLUMNS, rows)
+    fields = {"hand": answer["out"], "side": hand["side"], "palm spheres": hand["palm"]["kept"]}
+    fields |= {"volume by the mesh's": hand["error"]["volume_ratio"], "axes from the": hand["axes"]}
+    print_fields(fields | {"sha256": answer["sha256"]})
 
 
 def print_replay(answer: dict[str, Any]) -> None:
@@ -116,7 +128,7 @@ def print_residuals(residual_mm: dict[str, Any]) -> None:
 
 
 def _print_pack(description: dict[str, Any]) -> None:
-    hand = description["hand"]
+    hand = {key: value for key, value in description["hand"].items() if key not in ("error", "palm", "axis_error_deg")}
     print_fields({"kind": "pack", "sha256": description["sha256"], "schema": description["schema"]})
     print_fields({f"hand {key}": value for key, value in hand.items()})
     objects = description["objects"]

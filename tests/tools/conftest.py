@@ -40,7 +40,7 @@ def names_of() -> list[tuple[str, int]]:
     return names
 
 
-def make_rigged_hand(hand: HandModel, noise_m: float = 0.0, edge_m: float = 0.004, seed: int = 0) -> dict:
+def make_rigged_hand(hand: HandModel, noise_m: float = 0.0, edge_m: float = 0.0025, seed: int = 0) -> dict:
     """vertices, faces, weights (v, j), joints (j, 3), turns (j, 3, 3) whose -x is the flexion axis, names."""
     solid = Manifold.batch_boolean([_capsule(row) for row in capsules_of(hand)] + _palm(hand), OpType.Add)
     mesh = solid.refine_to_length(edge_m).to_mesh64()
