@@ -23,6 +23,8 @@ from palmar.tools.hand_frame import HandFrame, make_frame
 from palmar.tools.hand_palm import drop_useless, palm_solid, palm_spheres
 from palmar.tools.hand_shape import PosedHand, SkinPoints, pose_hand, skin_points, sweep_angles
 from palmar.tools.hand_quality import gap_samples, hand_quality, hybrid_gap, protrusion_samples
+from palmar.tools.hand_joints import rig_of_joints
+from palmar.tools.hand_report import check_report_place, write_fit_report
 from palmar.tools.mesh import METRES_PER_UNIT
 from palmar.tools.pack import PACKAGES, version_of
 from palmar.tools.rig import Rig, make_rig
@@ -43,6 +45,8 @@ def fit_hand(
     out: str | Path,
     *,
     name_map: str | Path | None = None,
+    joints_path: str | Path | None = None,
+    report: str | Path | None = None,
     units: str = "m",
     spheres: int = SPHERES,
     seed: int = 0,
@@ -50,14 +54,17 @@ def fit_hand(
 ) -> dict[str, Any]:
     """Fit a rigged hand and write it as a pack without objects, which `build` takes as a hand.
 
+    joints_path: places of joints, for a mesh without a skin (`rig_of_joints`); report: a folder for `write_fit_report`.
     Returns {"out", "sha256", "hand": what the pack says of it, "poses": its errors pose by pose (`hand_quality`)}. Raises BadMesh, BadPack or PalmarError; nothing is
     written then.
     """
     where, say = str(path), progress or (lambda text, fraction: None)
     if units not in METRES_PER_UNIT:
         raise PalmarError("E-CONF", "--units", f"{units!r}; known are {', '.join(METRES_PER_UNIT)}")
+    if report is not None:
+        check_report_place(report)
     say("reading", 0.0)
-    rig = make_rig(where, read_skin(path), name_map)
+    rig = _read_rig(path, name_map, joints_path)
     frame = make_frame(where, rig, METRES_PER_UNIT[units])
     mesh = hand_mesh(where, rig, frame, METRES_PER_UNIT[units])
     # Small matrices: a second thread of the linear algebra would only wait for the first.
@@ -78,7 +85,19 @@ def fit_hand(
     }
     tools = {package: version_of(package) for package in PACKAGES}
     sha256 = save_pack(out, AssetPack(replace(hand, about=about), {}, {"tools": tools, "seed": seed}))
-    return {"out": str(out), "sha256": sha256, "hand": about, "poses": quality["poses"]}
+    answer = {"out": str(out), "sha256": sha256, "hand": about, "poses": quality["poses"]}
+    if report is not None:
+        say("drawing", 0.95)
+        write_fit_report(report, replace(hand, about=about), answer)
+    return answer
+
+
+def _read_rig(path: str | Path, name_map: str | Path | None, joints_path: str | Path | None) -> Rig:
+    if joints_path is None:
+        return make_rig(str(path), read_skin(path), name_map)
+    if name_map is not None:
+        raise PalmarError("E-CONF", "--names", "together with --joints; the joints' file has the names")
+    return rig_of_joints(path, joints_path)
 
 
 def hand_mesh(where: str, rig: Rig, frame: HandFrame, metres_per_unit: float) -> HandMesh:

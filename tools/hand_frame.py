@@ -51,7 +51,7 @@ def make_frame(where: str, rig: Rig, metres_per_unit: float = 1.0) -> HandFrame:
     rest = (chain - wrist) @ rotation.T
     turns = rotation @ np.array([[rig.mesh.turn[rig.index[role]] for role in _chain(finger)[:3]] for finger in FINGERS])
     shape_axis = _shape_axes(rest)
-    axis, source = _rig_axes(turns, shape_axis)
+    axis, source = _rig_axes(turns, shape_axis) if np.isfinite(turns).all() else (shape_axis, "shape")
     error = np.degrees(np.arccos(np.clip(np.einsum("fja,fja->fj", axis, shape_axis), -1, 1)))
     if np.median(error[1:]) > AGREES_DEG:
         axis, source = shape_axis, "shape"

@@ -17,9 +17,7 @@ FILES = ("fit.json", "hand.png")
 
 def write_fit_report(folder: str | Path, hand: HandModel, answer: dict[str, Any]) -> list[str]:
     """Write the report of a fit into a folder, new or of an earlier report. Returns the names of its files."""
-    folder = Path(folder)
-    if folder.exists() and not (folder.is_dir() and {entry.name for entry in folder.iterdir()} <= set(FILES)):
-        raise PalmarError("E-FILE-PLACE", str(folder), "holds other files; a new folder or an earlier report is needed")
+    folder = check_report_place(folder)
     rest = answer["hand"]["error"]["rest"]["phalanges"]
     figures = f"phalanges p99: {rest['protrusion_mm']['p99']:.2f} mm out, {rest['gap_mm']['p99']:.2f} mm bare"
     with tempfile.TemporaryDirectory(prefix="palmar-") as made:
@@ -29,3 +27,11 @@ def write_fit_report(folder: str | Path, hand: HandModel, answer: dict[str, Any]
         for name in FILES:
             shutil.copyfile(Path(made) / name, folder / name)
     return list(FILES)
+
+
+def check_report_place(folder: str | Path) -> Path:
+    """The folder. Raises PalmarError if it holds anything but an earlier report."""
+    folder = Path(folder)
+    if folder.exists() and not (folder.is_dir() and {entry.name for entry in folder.iterdir()} <= set(FILES)):
+        raise PalmarError("E-FILE-PLACE", str(folder), "holds other files; a new folder or an earlier report is needed")
+    return folder

@@ -78,16 +78,20 @@ def build(
 
 @app.command("fit-hand")
 def fit_hand(
-    hand: Annotated[Path, typer.Argument(metavar="HAND.glb", help="Rigged hand: GLB or glTF with a skin.")],
+    hand: Annotated[Path, typer.Argument(metavar="HAND.glb", help="Rigged hand: GLB or glTF with a skin; any mesh with --joints.")],
     *,
     out: OutFile,
     units: Annotated[str, typer.Option(help="Unit of the file: m, cm, mm or in; glTF says m.")] = "m",
     names: Annotated[Path | None, typer.Option(help="TOML that tells the names of the rig's joints.")] = None,
+    joints: Annotated[
+        Path | None, typer.Option(help="CSV or JSON with places of joints, for a mesh without a skin (OBJ, PLY, STL, ...).")
+    ] = None,
     spheres: Annotated[int, typer.Option(min=1, help="Spheres of the palm, at most.")] = 250,
+    report: Annotated[Path | None, typer.Option(help="Folder for figures, picture and map of the error.")] = None,
     seed: Seed = 0,
     json: Json = False,
 ) -> None:
-    """Rigged hand mesh -> hand model with its own mesh, and how well the two agree."""
+    """Hand mesh -> hand model with its own mesh, and how well the two agree."""
     from palmar.files import require_file, require_place
     from palmar.show import print_fit
     from palmar.terminal import print_json, progress_bar
@@ -96,5 +100,15 @@ def fit_hand(
     require_file(hand)
     require_place(out)
     with progress_bar(not json) as progress:
-        answer = fit(hand, out, units=units, name_map=names, spheres=spheres, seed=seed, progress=progress)
+        answer = fit(
+            hand,
+            out,
+            units=units,
+            name_map=names,
+            joints_path=joints,
+            spheres=spheres,
+            report=report,
+            seed=seed,
+            progress=progress,
+        )
     print_json(answer) if json else print_fit(answer)
