@@ -16,7 +16,7 @@ BLOCK = 256  # steps held at once
 
 
 def penetration_hand_mesh(case: Case) -> Array:
-    """(n,) mm: deepest that a vertex, or the middle of a face, of the hand's own mesh is inside the object's true mesh."""
+    """(n,) mm: deepest that a vertex, or middle of a face, of the hand's own mesh is inside the object's true mesh."""
     hand, run = case.pack.hand, case.run
     if hand.mesh is None:
         raise NotMeasured("the hand has no mesh of its own; `palmar fit-hand` gives it one")
@@ -26,7 +26,9 @@ def penetration_hand_mesh(case: Case) -> Array:
     safe = np.zeros(len(hand.mesh.vertices_m) + len(hand.mesh.faces))
     for start in range(0, len(deepest), BLOCK):
         part = poses[np.arange(start, min(start + BLOCK, len(deepest)))]
-        points = _skin(hand.mesh, hand.joint_m, hand.flexion_axis, hand.abduction_axis, part.flexion_rad, part.abduction_rad)
+        points = _skin(
+            hand.mesh, hand.joint_m, hand.flexion_axis, hand.abduction_axis, part.flexion_rad, part.abduction_rad
+        )
         turn = Rotation.from_quat(np.roll(part.palm_rotation_wxyz, -1, axis=1)).as_matrix()
         world = np.einsum("nab,nkb->nka", turn, points) + part.palm_position_m[:, None]
         placed = in_object_frame(run, world, start)

@@ -29,7 +29,8 @@ EVERYWHERE = {"palmar", "numpy", "scipy"}
 DOORS = {
     "igl": ["eval/gap.py", "tools/close.py", "tools/solid.py"],
     "manifold3d": ["tools/close.py", "tools/hand_palm.py", "tools/lattice.py", "tools/shapes.py"],
-    "matplotlib": ["eval/figures.py"],
+    "OpenEXR": ["tools/hand_map.py"],
+    "matplotlib": ["eval/figures.py", "tools/hand_picture.py"],
     "plotly": ["eval/page.py"],
     "pydantic": ["traces/scene_file.py"],
     "pygltflib": ["tools/gltf_skin.py"],

@@ -1,8 +1,8 @@
 """Tapered capsules fitted to the skin of a finger over several poses at once.
 
-A skin point should lie on the surface of the finger's three capsules together with the palm: its signed gap to that union is
-what is made small. Each point counts by its area; gaps outside and inside count alike. The joints carry the capsules from
-pose to pose, so a capsule that fits the straight finger and not the bent one pays for it.
+A skin point should lie on the surface of the finger's three capsules together with the palm: its signed gap to that
+union is what is made small. Each point counts by its area; gaps outside and inside count alike. The joints carry the
+capsules from pose to pose, so a capsule that fits the straight finger and not the bent one pays for it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class FingerSkin:
 
 
 def capsule_gap(ends: Array, radii: Array, points: Array) -> tuple[Array, Array]:
-    """Signed gap (n,) of points (n, 3) to a tapered capsule, ends (2, 3), radii (2,), and the place t on its axis, 0 to 1."""
+    """Signed gap (n,) of points (n, 3) to a tapered capsule, ends (2, 3), radii (2,), and t on its axis, 0 to 1."""
     axis = ends[1] - ends[0]
     length = max(float(np.linalg.norm(axis)), 1e-9)
     axis = axis / length

@@ -154,10 +154,10 @@ def _places(where: str, nodes: list[dict[str, Any]]) -> tuple[Array, list[int]]:
                 _raise(f"{where}:node {number}", f"{nodes[number].get('name')!r} is its own ancestor; a tree is needed")
             chain.append(number)
             number = above[number]
-        for node in reversed(chain):
-            own = _own_place(nodes[node])
-            world[node] = own if above[node] < 0 else world[above[node]] @ own
-            done[node] = True
+        for k in reversed(chain):
+            own = _own_place(nodes[k])
+            world[k] = own if above[k] < 0 else world[above[k]] @ own
+            done[k] = True
     return world, above
 
 

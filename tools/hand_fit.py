@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,11 +19,11 @@ from palmar.tools.cover import weighted_quantile
 from palmar.tools.gltf_skin import read_skin
 from palmar.tools.hand_file import STIFFNESS, default_hand
 from palmar.tools.hand_frame import HandFrame, make_frame
-from palmar.tools.hand_palm import drop_useless, palm_solid, palm_spheres
-from palmar.tools.hand_shape import PosedHand, SkinPoints, pose_hand, skin_points, sweep_angles
-from palmar.tools.hand_quality import gap_samples, hand_quality, hybrid_gap, protrusion_samples
 from palmar.tools.hand_joints import rig_of_joints
+from palmar.tools.hand_palm import drop_useless, palm_solid, palm_spheres
+from palmar.tools.hand_quality import gap_samples, hand_quality, hybrid_gap, protrusion_samples
 from palmar.tools.hand_report import check_report_place, write_fit_report
+from palmar.tools.hand_shape import PosedHand, SkinPoints, pose_hand, skin_points, sweep_angles
 from palmar.tools.mesh import METRES_PER_UNIT
 from palmar.tools.pack import PACKAGES, version_of
 from palmar.tools.rig import Rig, make_rig
@@ -55,8 +54,8 @@ def fit_hand(
     """Fit a rigged hand and write it as a pack without objects, which `build` takes as a hand.
 
     joints_path: places of joints, for a mesh without a skin (`rig_of_joints`); report: a folder for `write_fit_report`.
-    Returns {"out", "sha256", "hand": what the pack says of it, "poses": its errors pose by pose (`hand_quality`)}. Raises BadMesh, BadPack or PalmarError; nothing is
-    written then.
+    Returns {"out", "sha256", "hand": what the pack says of it, "poses": its errors pose by pose (`hand_quality`)}.
+    Raises BadMesh, BadPack or PalmarError; nothing is written then.
     """
     where, say = str(path), progress or (lambda text, fraction: None)
     if units not in METRES_PER_UNIT:
@@ -116,9 +115,7 @@ def hand_mesh(where: str, rig: Rig, frame: HandFrame, metres_per_unit: float) ->
     return HandMesh(closed, faces.astype(np.int32), np.vstack([weights, palm_only]), frame.rest_flexion_rad)
 
 
-def fit_model(
-    where: str, frame: HandFrame, mesh: HandMesh, spheres: int, seed: int, progress: Progress
-) -> HandModel:
+def fit_model(where: str, frame: HandFrame, mesh: HandMesh, spheres: int, seed: int, progress: Progress) -> HandModel:
     """Capsules, then palm spheres for what they leave of a mesh; `about` holds what was done."""
     palm_surface = palm_solid(where, mesh)
     palm_body = make_solid(*palm_surface)

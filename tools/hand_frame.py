@@ -90,7 +90,7 @@ def _palm_frame(chain: Array, wrist: Array) -> tuple[Array, str]:
 
 
 def _shape_axes(rest: Array) -> Array:
-    """Flexion axes (5, 3, 3) from the chains of joints alone: across each bone, in the plane that the finger bends in."""
+    """Flexion axes (5, 3, 3) from the chains of joints alone: across each bone and the plane the finger bends in."""
     axes = np.empty((5, 3, 3))
     ulnar = np.sign(rest[4, 0, 0] - rest[1, 0, 0])
     for f in range(5):

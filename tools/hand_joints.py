@@ -27,8 +27,8 @@ TIPS = tuple(f"{finger}-tip" for finger in FINGERS)
 def rig_of_joints(path: str | Path, joints_path: str | Path) -> Rig:
     """Skin weights from the nearest bone, blended across the joints; axes are left to the shape.
 
-    The joints' file is in the mesh's frame and unit: a CSV with the columns name, x, y, z, or JSON {name: [x, y, z]}; names
-    as in a rig, tips needed. Raises BadMesh or BadPack.
+    The joints' file is in the mesh's frame and unit: a CSV with the columns name, x, y, z, or JSON {name: [x, y, z]};
+    names as in a rig, tips needed. Raises BadMesh or BadPack.
     """
     places = read_joints(joints_path)
     mesh = read_mesh(path, size_mm=1000.0)

@@ -53,8 +53,8 @@ def palm_spheres(
 def drop_useless(spheres: Array, points: Array, other_gap_m: Array, stands_out_m: Array) -> NDArray[np.bool_]:
     """Which palm spheres (p, 4) to keep: without the dropped ones no skin point (n, 3) is bare that was not.
 
-    other_gap_m: (n,) of the points to the fingers' capsules; stands_out_m: (p,) how far each sphere stands out of the skin
-    when the fingers bend. The worst go first.
+    other_gap_m: (n,) of the points to the fingers' capsules; stands_out_m: (p,) how far each sphere stands out of the
+    skin when the fingers bend. The worst go first.
     """
     gap = np.linalg.norm(points[:, None] - spheres[None, :, :3], axis=2) - spheres[:, 3]
     allowed = np.maximum(NEEDED_M, np.minimum(gap.min(axis=1), other_gap_m))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from palmar.model import HandModel
 from palmar.skin import HandMesh
 from palmar.tools.hand_quality import MM, capsules_of, hybrid_gap
-from palmar.tools.hand_shape import middles, pose_hand, sweep_angles
+from palmar.tools.hand_shape import points_at, pose_hand, sweep_angles
 from palmar.tools.solid import smooth_normals
 from palmar.tools.surface import halved
 
@@ -40,7 +40,7 @@ def draw_hand(path: str | Path, hand: HandModel, title: str) -> None:
     assert hand.mesh is not None
     mirror = 1.0 if hand.about.get("side") != "left" else -1.0
     fine = _finer(hand.mesh)
-    skin = middles(fine)
+    skin = points_at(fine, np.arange(len(fine.faces)), np.full((len(fine.faces), 3), 1 / 3))  # middles of the faces
     poses = {"at rest": hand.mesh.flexion_rad, f"bent by {BENT_DEG:g} degrees": sweep_angles(hand, BENT_DEG)}
     with rc_context({"font.family": "DejaVu Sans", "font.size": 9}):
         figure = Figure(figsize=(9.6, 9.2), dpi=130)
@@ -55,11 +55,11 @@ def draw_hand(path: str | Path, hand: HandModel, title: str) -> None:
             for axis, (view, turn) in zip(axes[row], VIEWS.items(), strict=True):
                 right, up, eye = (np.array(v, dtype=float) * [mirror, 1, 1] for v in turn)
                 corners = MM * posed.solid.vertices[fine.faces]
-                colours = colormaps[COLOURS](0.5 + 0.5 * np.clip(error / LIMIT_MM, -1, 1))
-                colours[~skin.real, :3] = 0.7
+                colours = colours_of(error)
+                colours[~skin.real] = 0.7
                 light = 0.3 * right + 0.5 * up + 0.8 * eye
                 shade = 0.62 + 0.38 * np.clip(normals @ (light / np.linalg.norm(light)), 0, 1)
-                colours[:, :3] *= shade[:, None]
+                colours *= shade[:, None]
                 shown = np.flatnonzero(posed.solid.normals[skin.face] @ eye > 0)
                 shown = shown[np.argsort((posed.points_m[shown]) @ eye, kind="stable")]
                 _draw(axis, np.stack([corners[shown] @ right, corners[shown] @ up], axis=2), colours[shown])
@@ -74,8 +74,13 @@ def draw_hand(path: str | Path, hand: HandModel, title: str) -> None:
         figure.savefig(path, metadata={"Software": "palmar"})
 
 
+def colours_of(error_mm: Array) -> Array:
+    """Red, green, blue (n, 3), sRGB: white at 0, full colour from the limit on."""
+    return np.asarray(colormaps[COLOURS](0.5 + 0.5 * np.clip(error_mm / LIMIT_MM, -1, 1)))[:, :3]
+
+
 def _draw(axis: Any, triangles: Array, colours: Array) -> None:
-    axis.add_collection(PolyCollection(triangles, facecolors=colours, edgecolors=colours, linewidths=0.25))
+    axis.add_collection(PolyCollection(list(triangles), facecolors=colours, edgecolors=colours, linewidths=0.25))
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     axis.set_xlim(low[0] - 4, high[0] + 4)
     axis.set_ylim(low[1] - 8, high[1] + 4)

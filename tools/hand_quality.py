@@ -1,8 +1,8 @@
 """How well a hybrid hand stands for its own mesh: protrusion and gap of palm and phalanges, at rest and bent.
 
 Gap: from points of the mesh's skin out to the whole hybrid hand, positive part; it counts for the link that moves the
-point most. Protrusion: from the exposed skin of the palm's spheres or of a capsule out to the mesh, positive part. Skin in
-folds and on the cap of the wrist does not count. All by area.
+point most. Protrusion: from the exposed skin of the palm's spheres or of a capsule out to the mesh, positive part. Skin
+in folds and on the cap of the wrist does not count. All by area.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ Samples = list[tuple[Array, Array]]
 def hand_quality(hand: HandModel, seed: int = 0) -> dict[str, Any]:
     """Errors of the hand against `hand.mesh`, as JSON-able values.
 
-    {"poses": {"rest" or degrees: {part: {"protrusion_mm", "gap_mm"}}}, "rest": the first of them, "sweep": of each part the
-    worst figure of all poses, "volume_ratio"}; a figure is {"max", "p99", "mean"}, a part one of PARTS or "phalanges", all
-    fifteen together.
+    {"poses": {"rest" or degrees: {part: {"protrusion_mm", "gap_mm"}}}, "rest": the first of them, "sweep": of each part
+    the worst figure of all poses, "volume_ratio"}; a figure is {"max", "p99", "mean"}, a part one of PARTS or
+    "phalanges", all fifteen together.
     """
     assert hand.mesh is not None
     skin = skin_points(hand.mesh, SPACING_M)

@@ -10,9 +10,10 @@ from typing import Any
 
 from palmar.errors import PalmarError
 from palmar.model import HandModel, write_whole
+from palmar.tools.hand_map import write_hand_map
 from palmar.tools.hand_picture import draw_hand
 
-FILES = ("fit.json", "hand.png")
+FILES = ("fit.json", "hand.exr", "hand.png")
 
 
 def write_fit_report(folder: str | Path, hand: HandModel, answer: dict[str, Any]) -> list[str]:
@@ -21,7 +22,10 @@ def write_fit_report(folder: str | Path, hand: HandModel, answer: dict[str, Any]
     rest = answer["hand"]["error"]["rest"]["phalanges"]
     figures = f"phalanges p99: {rest['protrusion_mm']['p99']:.2f} mm out, {rest['gap_mm']['p99']:.2f} mm bare"
     with tempfile.TemporaryDirectory(prefix="palmar-") as made:
-        draw_hand(Path(made) / "hand.png", hand, f"{answer['hand']['source']} ({answer['hand']['side']} hand), {figures}")
+        draw_hand(
+            Path(made) / "hand.png", hand, f"{answer['hand']['source']} ({answer['hand']['side']} hand), {figures}"
+        )
+        write_hand_map(Path(made) / "hand.exr", hand)
         write_whole(Path(made) / "fit.json", (json.dumps(answer, indent=1, sort_keys=True) + "\n").encode())
         folder.mkdir(parents=True, exist_ok=True)
         for name in FILES:

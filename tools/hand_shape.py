@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,18 +51,13 @@ def skin_points(mesh: HandMesh, spacing_m: float) -> SkinPoints:
     if len(face) > 2 * wanted:
         picked = _evenly(mesh.vertices_m[mesh.faces].mean(axis=1)[face], area, wanted)
         face, mix, area = face[picked], mix[picked], np.full(len(picked), area.sum() / len(picked))
-    return _points(mesh, face, mix, area)
+    return replace(points_at(mesh, face, mix), area_m2=area)
 
 
-def middles(mesh: HandMesh) -> SkinPoints:
-    """The middle of every face."""
-    area = np.ones(len(mesh.faces))
-    return _points(mesh, np.arange(len(mesh.faces)), np.full((len(mesh.faces), 3), 1 / 3), area)
-
-
-def _points(mesh: HandMesh, face: NDArray[np.int64], mix: Array, area: Array) -> SkinPoints:
+def points_at(mesh: HandMesh, face: NDArray[np.int64], mix: Array) -> SkinPoints:
+    """Points at barycentric coordinates (n, 3) of faces (n,), each with area 1."""
     shares = np.einsum("nk,nkl->nl", mix, mesh.weights[mesh.faces[face]])
-    return SkinPoints(mesh, face, mix, area, shares.argmax(axis=1), ~mesh.is_cap[face])
+    return SkinPoints(mesh, face, mix, np.ones(len(face)), shares.argmax(axis=1), ~mesh.is_cap[face])
 
 
 def _evenly(points: Array, area: Array, count: int) -> NDArray[np.intp]:

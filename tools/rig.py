@@ -140,7 +140,7 @@ def _links(where: str, mesh: SkinnedMesh, roles: dict[str, int]) -> NDArray[np.i
 
 
 def link_of(role: str) -> int:
-    """0 for the palm with all metacarpals but the thumb's, 1 + 3 finger + phalanx else; a tip moves with its phalanx."""
+    """0 for the palm with all metacarpals but the thumb's, else 1 + 3 finger + phalanx; a tip moves with the last."""
     finger, _, part = role.partition("-")
     if not part or (part == "metacarpal" and finger != "thumb"):
         return 0

@@ -78,13 +78,16 @@ def build(
 
 @app.command("fit-hand")
 def fit_hand(
-    hand: Annotated[Path, typer.Argument(metavar="HAND.glb", help="Rigged hand: GLB or glTF with a skin; any mesh with --joints.")],
+    hand: Annotated[
+        Path, typer.Argument(metavar="HAND.glb", help="Rigged hand: GLB or glTF with a skin; any mesh with --joints.")
+    ],
     *,
     out: OutFile,
     units: Annotated[str, typer.Option(help="Unit of the file: m, cm, mm or in; glTF says m.")] = "m",
     names: Annotated[Path | None, typer.Option(help="TOML that tells the names of the rig's joints.")] = None,
     joints: Annotated[
-        Path | None, typer.Option(help="CSV or JSON with places of joints, for a mesh without a skin (OBJ, PLY, STL, ...).")
+        Path | None,
+        typer.Option(help="CSV or JSON with places of joints, for a mesh without a skin (OBJ, PLY, STL, ...)."),
     ] = None,
     spheres: Annotated[int, typer.Option(min=1, help="Spheres of the palm, at most.")] = 250,
     report: Annotated[Path | None, typer.Option(help="Folder for figures, picture and map of the error.")] = None,

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import tempfile
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -158,9 +158,10 @@ def load_pack(path: str | Path) -> AssetPack:
     _check(where, tensors, manifest)
 
     parts = {name: tensors[f"hand/{name}"] for name in HAND_SHAPES if f"hand/{name}" in tensors}
-    hand = HandModel(**parts, about=manifest["hand"])
+    mesh = None
     if "hand/mesh/faces" in tensors:
-        hand = replace(hand, mesh=HandMesh(**{name: tensors[f"hand/mesh/{name}"] for name in HAND_MESH}))
+        mesh = HandMesh(**{name: tensors[f"hand/mesh/{name}"] for name in HAND_MESH})
+    hand = HandModel(**parts, about=manifest["hand"], mesh=mesh)
     objects = {}
     for name, about in manifest["objects"].items():
         count = len(about["levels"])
