@@ -21,7 +21,6 @@ from palmar.tools.toml_file import is_number
 Array = NDArray[np.float64]
 
 BLEND = 0.35  # of a bone's thickness: over which the skin at a joint goes from one bone to the next
-TIPS = tuple(f"{finger}-tip" for finger in FINGERS)
 
 
 def rig_of_joints(path: str | Path, joints_path: str | Path) -> Rig:
@@ -35,16 +34,16 @@ def rig_of_joints(path: str | Path, joints_path: str | Path) -> Rig:
     in_file = mesh.vertices_m / mesh.metres_per_unit
     names = tuple(places)
     roles = {role_of(name)[0]: name for name in names}
-    missing = [role for role in (*NEEDED, *TIPS) if role not in roles]
+    missing = [role for role in NEEDED if role not in roles]
     if missing:
         found = f"{', '.join(missing[:6])} {'is' if len(missing) == 1 else 'are'} missing"
-        raise BadPack("E-CONF", str(joints_path), f"{found}; needed are {', '.join((*NEEDED, *TIPS))}")
+        raise BadPack("E-CONF", str(joints_path), f"{found}; needed are {', '.join(NEEDED)}")
     joint = np.array([places[name] for name in names])
     weights = np.zeros((len(in_file), len(names)))
     of_link = _link_weights(in_file, {role: np.array(places[name]) for role, name in roles.items() if role})
     for number, name in enumerate(names):
         role = role_of(name)[0]
-        if role == "wrist" or (role in NEEDED and link_of(role)):
+        if role == "wrist" or (role in NEEDED and not role.endswith("-tip")):
             weights[:, number] = of_link[:, link_of(role)]
     skinned = SkinnedMesh(
         vertices=in_file,

@@ -21,7 +21,7 @@ PARTS = ("metacarpal", "proximal", "intermediate", "distal", "tip")
 ROLES = ("wrist", "palm", "forearm", *(f"{finger}-{part}" for finger in FINGERS for part in PARTS))
 NEEDED = (
     "wrist",
-    *(f"{finger}-{part}" for finger in FINGERS for part in ("proximal", "distal")),
+    *(f"{finger}-{part}" for finger in FINGERS for part in ("proximal", "distal", "tip")),
     "thumb-metacarpal",
     *(f"{finger}-intermediate" for finger in FINGERS[1:]),
 )
