@@ -21,7 +21,7 @@ BOX_FACES = np.array(
 def meshed(hand):
     """A block of 10 mm on the index's tip, its base blended with the phalanx before, and one in the palm."""
     corners, faces = 0.25 * BOX, BOX_FACES
-    vertices = np.vstack([corners + [-0.02, 0.13, 0], corners + [0, 0.02, 0]])
+    vertices = np.vstack([corners + np.array([-0.02, 0.13, 0]), corners + np.array([0, 0.02, 0])])
     weights = np.eye(16)[[6] * 8 + [0] * 8]
     weights[:2, 5:7] = 0.5
     mesh = HandMesh(vertices, np.vstack([faces, faces + 8]), weights, np.full((5, 3), 0.1))
