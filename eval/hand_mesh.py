@@ -12,7 +12,7 @@ from palmar.skin import HandMesh, posed_vertices
 
 Array = NDArray[np.float64]
 
-BLOCK = 256  # steps held at once
+HELD = 400_000  # points at once, over some steps
 
 
 def penetration_hand_mesh(case: Case) -> Array:
@@ -24,8 +24,9 @@ def penetration_hand_mesh(case: Case) -> Array:
     deepest = np.zeros(len(run.time_s))
     before: Array | None = None
     safe = np.zeros(len(hand.mesh.vertices_m) + len(hand.mesh.faces))
-    for start in range(0, len(deepest), BLOCK):
-        part = poses[np.arange(start, min(start + BLOCK, len(deepest)))]
+    block = max(1, HELD // len(safe))
+    for start in range(0, len(deepest), block):
+        part = poses[np.arange(start, min(start + block, len(deepest)))]
         points = _skin(
             hand.mesh, hand.joint_m, hand.flexion_axis, hand.abduction_axis, part.flexion_rad, part.abduction_rad
         )

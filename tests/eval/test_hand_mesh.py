@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from palmar.eval import hand_mesh
 from palmar.eval.case import Case, NotMeasured
 from palmar.eval.hand_mesh import penetration_hand_mesh
 from palmar.skin import HandMesh, posed_vertices
@@ -28,8 +29,9 @@ def meshed(hand):
     return replace(hand, mesh=mesh)
 
 
-def test_depth_is_that_of_every_point_at_every_step(meshed, make_pack, make_run):
-    n = 600  # more than a block of steps
+def test_depth_is_that_of_every_point_at_every_step(meshed, make_pack, make_run, monkeypatch):
+    monkeypatch.setattr(hand_mesh, "HELD", 10_000)  # 250 steps
+    n = 600
     time = np.linspace(0, 2 * np.pi, n)
     run = make_run(
         n,
