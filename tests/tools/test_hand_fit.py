@@ -64,8 +64,9 @@ def test_known_capsules_come_back(fitted):
     assert angle.max() < 2
     for f in range(5):
         rows = slice(3 * f, 3 * f + 3)
-        # Radii along the middle half of each phalanx: at a joint, what bends best is not what is thickest.
-        line = np.concatenate([a + np.linspace(0.25, 0.75, 9)[:, None] * (b - a) for a, b in true_ends[rows]])
+        # Radii along the middle half of each phalanx: at a joint, what bends best is not what is thickest. The thumb's
+        # metacarpal lies in the ball of the thumb, where its thickness is not to be seen.
+        line = np.concatenate([a + np.linspace(0.25, 0.75, 9)[:, None] * (b - a) for a, b in true_ends[rows]][f == 0 :])
         thick = [
             -np.min(
                 [capsule_gap(e, r, line)[0] for e, r in zip(some_ends[rows], some_radii[rows], strict=True)], axis=0
