@@ -48,7 +48,7 @@ def skin_points(mesh: HandMesh, spacing_m: float) -> SkinPoints:
     """About one point for each spacing^2 and, on a coarse mesh, at least one on each face."""
     face, mix, area = spread(mesh.vertices_m, mesh.faces, spacing_m)
     wanted = int(area.sum() / spacing_m**2)
-    if len(face) > 4 * wanted:
+    if len(mesh.faces) > 2 * wanted:
         picked = _evenly(mesh.vertices_m[mesh.faces].mean(axis=1)[face], area, 2 * wanted)
         face, mix, area = face[picked], mix[picked], np.full(len(picked), area.sum() / len(picked))
     return replace(points_at(mesh, face, mix), area_m2=area)
