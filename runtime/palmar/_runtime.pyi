@@ -61,8 +61,19 @@ class Session:
     ) -> dict[str, Any]:
         """One step towards the haptic hand given: one row of `palmar.records.Run`, `contacts` as a list of dicts."""
 
-def union_gaps(spheres: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Distance (n,) from points (n, 3) to the union of spheres (m, 4), exact where positive; 0 or below is inside."""
+def union_nearest(spheres: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The least |point - centre| - radius (n,) over spheres (m, 4), and the sphere (n,) that has it.
+
+    The distance to the union where positive; 0 or below is inside.
+    """
+
+def union_exits(
+    spheres: np.ndarray, points: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays along unit directions (n, 3) leave the union first: lengths (n,), and the spheres (n,) left there.
+
+    0 and -1 for a point outside.
+    """
 
 def union_skin(
     spheres: np.ndarray, offset: float, spacing: float, seed: int

@@ -53,9 +53,22 @@ SphereUnion make_union(const Rows4& spheres) {
   return SphereUnion(std::move(balls));
 }
 
-nb::object union_gaps(const Rows4& spheres, const Rows3& points) {
-  const std::vector<double> gaps = make_union(spheres).gaps(to_points(points));
-  return to_array(gaps, {gaps.size()});
+nb::tuple to_tuple(const std::vector<NearBall>& found) {
+  std::vector<double> distances;
+  std::vector<std::int64_t> owners;
+  for (const NearBall& near : found) {
+    distances.push_back(near.distance);
+    owners.push_back(near.owner);
+  }
+  return nb::make_tuple(to_array(distances, {distances.size()}), to_array(owners, {owners.size()}));
+}
+
+nb::tuple union_nearest(const Rows4& spheres, const Rows3& points) {
+  return to_tuple(make_union(spheres).nearest(to_points(points)));
+}
+
+nb::tuple union_exits(const Rows4& spheres, const Rows3& points, const Rows3& directions) {
+  return to_tuple(make_union(spheres).exits(to_points(points), to_points(directions)));
 }
 
 nb::tuple union_skin(const Rows4& spheres, double offset, double spacing, std::uint64_t seed) {
@@ -109,7 +122,8 @@ std::vector<InsideBall> to_balls(const TriangleTree& tree, const Rows& rows) {
 }  // namespace
 
 void bind_tools(nb::module_& m) {
-  m.def("union_gaps", &union_gaps, "spheres"_a, "points"_a);
+  m.def("union_nearest", &union_nearest, "spheres"_a, "points"_a);
+  m.def("union_exits", &union_exits, "spheres"_a, "points"_a, "directions"_a);
   m.def("union_skin", &union_skin, "spheres"_a, "offset"_a, "spacing"_a, "seed"_a);
   m.def("radii_to_cover", &radii_to_cover, "spheres"_a, "vertices"_a, "faces"_a, "finest"_a);
   nb::class_<TriangleTree>(m, "TriangleTree")

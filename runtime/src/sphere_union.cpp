@@ -81,11 +81,11 @@ void SphereUnion::split(std::int32_t index) {
   split(child + 1);
 }
 
-std::vector<double> SphereUnion::gaps(const std::vector<Vec3>& points) const {
-  std::vector<double> gap(points.size(), std::numeric_limits<double>::infinity());
+std::vector<NearBall> SphereUnion::nearest(const std::vector<Vec3>& points) const {
+  std::vector<NearBall> found(points.size(), {std::numeric_limits<double>::infinity(), -1});
   std::vector<std::int32_t> left(points.size());
   std::iota(left.begin(), left.end(), 0);
-  if (points.empty() || balls_.empty()) return gap;
+  if (points.empty() || balls_.empty()) return found;
   Eigen::Array3d low = points[0], high = low;
   for (const Vec3& point : points) {
     low = low.min(point.array());
@@ -98,18 +98,61 @@ std::vector<double> SphereUnion::gaps(const std::vector<Vec3>& points) const {
     std::vector<Vec3> some;
     for (const std::int32_t k : left) some.push_back(points[k]);
     const PointTree tree(some);
-    for (const Ball& ball : balls_) {
+    for (std::int32_t index = 0; index < std::int32_t(balls_.size()); ++index) {
+      const Ball& ball = balls_[index];
       const double center_reach = ball.radius + reach + rounding;
       tree.within(ball.center, center_reach, [&](std::int32_t at, float distance) {
         const std::int32_t k = left[tree.order()[at]];
-        if (distance - ball.radius > gap[k] + rounding) return;
-        gap[k] = std::min(gap[k], (points[k] - ball.center).norm() - ball.radius);
+        if (distance - ball.radius > found[k].distance + rounding) return;
+        const double exact = (points[k] - ball.center).norm() - ball.radius;
+        if (exact < found[k].distance) found[k] = {exact, index};
       });
     }
     // A sphere that was not seen is farther than the reach.
-    std::erase_if(left, [&](std::int32_t k) { return gap[k] <= reach; });
+    std::erase_if(left, [&](std::int32_t k) { return found[k].distance <= reach; });
   }
-  return gap;
+  return found;
+}
+
+std::vector<NearBall> SphereUnion::exits(const std::vector<Vec3>& points, const std::vector<Vec3>& directions) const {
+  std::vector<NearBall> found(points.size(), {0.0, -1});
+  if (balls_.empty()) return found;
+  // Balls that touch in a point count as joined.
+  const double slack = 1e-9 * largest_;
+  for (std::size_t k = 0; k < points.size(); ++k) {
+    NearBall& last = found[k];
+    for (bool farther = true; farther;) {
+      farther = false;
+      const Vec3 at = points[k] + last.distance * directions[k];
+      const Eigen::Array3d p = at;
+      std::int32_t stack[64];
+      int open = 0;
+      stack[open++] = 0;
+      while (open) {
+        const Node& node = nodes_[stack[--open]];
+        if ((p < node.low - slack).any() || (p > node.high + slack).any()) continue;
+        if (node.count == 0) {
+          stack[open++] = node.first;
+          stack[open++] = node.first + 1;
+          continue;
+        }
+        for (std::int32_t place = node.first; place < node.first + node.count; ++place) {
+          const Ball& ball = balls_[order_[place]];
+          const double reach = ball.radius + slack;
+          if ((at - ball.center).squaredNorm() > reach * reach) continue;
+          const Vec3 offset = points[k] - ball.center;
+          const double along = -offset.dot(directions[k]);
+          const double root = along * along - offset.squaredNorm() + ball.radius * ball.radius;
+          if (root < 0) continue;
+          const double leave = along + std::sqrt(root);
+          if (leave <= last.distance + slack) continue;
+          last = {leave, order_[place]};
+          farther = true;
+        }
+      }
+    }
+  }
+  return found;
 }
 
 bool SphereUnion::covers(const Vec3& point, double offset, std::int32_t but) const {

@@ -15,6 +15,11 @@ struct Ball {
   double radius;
 };
 
+struct NearBall {
+  double distance;     // from the point to its surface, negative inside
+  std::int32_t owner;  // -1: none
+};
+
 struct SkinSample {
   std::int32_t owner;  // the sphere on which it lies
   Vec3 direction;      // unit, from the sphere's centre
@@ -25,8 +30,11 @@ class SphereUnion {
  public:
   explicit SphereUnion(std::vector<Ball> balls);
 
-  // Distance from each point to the union, exact where positive; 0 or below is inside.
-  std::vector<double> gaps(const std::vector<Vec3>& points) const;
+  // The ball with the least distance to each point: outside the union, the distance to the union.
+  std::vector<NearBall> nearest(const std::vector<Vec3>& points) const;
+  // Where a ray along the unit direction from each point leaves the union first, and the ball that it leaves there; 0 and
+  // no ball for a point outside.
+  std::vector<NearBall> exits(const std::vector<Vec3>& points, const std::vector<Vec3>& directions) const;
   // Samples of the skin, every sphere grown by `offset`: about one for each spacing^2. A patch of a sphere inside a
   // neighbour is dropped whole, the others are split.
   std::vector<SkinSample> skin(double offset, double spacing, std::uint64_t seed) const;
