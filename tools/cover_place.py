@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 FINGERTIP_M = 0.007
 MM = 1e3
-WORST_SHARE = 0.01  # of the surface or the skin: what is put together to places
+WORST_SHARE = 0.02  # of the surface or the skin: what is put together to places
 PLACES = 5
 _TOUCHES = 0.98  # of its radius, and a fingertip rests at the point; less: something else keeps it away
 _LOOKED_AT = 100  # points of a place, for its word
@@ -78,12 +78,12 @@ def surface_errors(
 
 
 def worst_places(
-    solid: Solid, points: Array, error_m: Array, weight: Array, least_m: float, kind: str
+    solid: Solid, points: Array, error_m: Array, weight: Array, least_m: float, kind: str, apart_m: float
 ) -> list[dict[str, Any]]:
-    """Where the error is above its 99th percentile, and above least_m, put together to places, the worst first.
+    """Where the error is among the worst 2 % of the area, and above least_m, put together to places, the worst first.
 
-    points (n, 3) of the surface, their errors (n,) and areas (n,). A place is a group of such points, each within a few
-    sample distances of another. Each: kind, at_mm (of the largest error), centre_mm, extent_mm, area_mm2, max_mm,
+    points (n, 3) of the surface, their errors (n,) and areas (n,). A place is a group of such points, each within apart_m
+    of another, as far as that is 4 to 12 sample distances. Each: kind, at_mm (of the largest error), centre_mm, extent_mm, area_mm2, max_mm,
     mean_mm, what (see `_reason`) and thickness_mm of what is there, None where it is no wall.
     """
     limit = max(_weighted_limit(error_m, weight), least_m)
@@ -91,7 +91,7 @@ def worst_places(
     if not len(bad):
         return []
     spacing = float(np.sqrt(weight.sum() / len(points)))
-    pairs = cKDTree(points[bad]).query_pairs(4 * spacing, output_type="ndarray")
+    pairs = cKDTree(points[bad]).query_pairs(np.clip(apart_m, 4 * spacing, 12 * spacing), output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(bad), len(bad)))
     count, label = connected_components(links, directed=False)
     largest = np.zeros(count)

@@ -13,8 +13,8 @@ from palmar.tools.solid import make_solid, sample_surface
 
 Array = NDArray[np.float64]
 
+MOST_BALLS = 3_000  # beyond, the programme takes hours
 _SAMPLES_A_BALL, _CANDIDATES_A_BALL = 12, 10
-_MOST_BALLS = 3_000  # beyond, the programme takes hours
 
 
 def least_spheres(vertices_m: Array, faces: NDArray[np.integer], error_m: float, leaves: Array, seed: int = 0) -> float:
@@ -24,7 +24,7 @@ def least_spheres(vertices_m: Array, faces: NDArray[np.integer], error_m: float,
     1975), each sample covered or among the 1 %. leaves (n, 4): a cover that is there, which are among the candidates;
     the others are medial balls, tight and slack, ten for each leaf. Raises BadMesh.
     """
-    assert len(leaves) <= _MOST_BALLS, f"{len(leaves)} leaves; a bound for at most {_MOST_BALLS} is computed"
+    assert len(leaves) <= MOST_BALLS, f"{len(leaves)} leaves; a bound for at most {MOST_BALLS} is computed"
     solid = make_solid(vertices_m, faces)
     budget = 2 * error_m
     own = solid.triangles.distances(np.ascontiguousarray(leaves[:, :3]))

@@ -140,14 +140,7 @@ def build_pack(
 
 def build_object(source: Source, seed: int, progress: Progress) -> tuple[SphereTree, list[str]]:
     """The SphereTree of one source with its true mesh and its part of the manifest, and warnings."""
-    progress("reading", 0.0)
-    mesh = _shape(source) if source.mesh.startswith(SHAPE) else _read(source)
-    closing: dict[str, Any] | None = None
-    if source.close:
-        mesh, closing = close_mesh(source.mesh, mesh, seed=seed, progress=lambda text, part: progress(text, 0.3 * part))
-    # What closing gave is held against the same gate as what came closed.
-    require_closed(source.mesh, mesh, seed)
-    warnings = closing.pop("warnings") if closing else []
+    mesh, closing, warnings = read_solid(source, seed, lambda text, part: progress(text, 0.3 * part))
     parameters: dict[str, Any]
     if source.spheres_csv is None:
         error_m = None if source.error_mm is None else source.error_mm / 1000
@@ -165,7 +158,7 @@ def build_object(source: Source, seed: int, progress: Progress) -> tuple[SphereT
         method = str(parameters.pop("method", "built"))
     else:
         leaves, csv_sha256 = read_spheres_csv(source.spheres_csv, source.csv_units)
-        _check_place(source, leaves, mesh)
+        check_place(source.spheres_csv, leaves, mesh.vertices_m)
         levels, parents = levels_over(leaves)
         method = "leaves as given"
         parameters = {"spheres_csv": Path(source.spheres_csv).name, "csv_sha256": csv_sha256}
@@ -177,12 +170,24 @@ def build_object(source: Source, seed: int, progress: Progress) -> tuple[SphereT
         "sha256": mesh.sha256,
         "units": mesh.units,
         "metres_per_unit": mesh.metres_per_unit,
-        "closed": _tell_closing(closing) if closing else None,
+        "closed": tell_closing(closing) if closing else None,
         "method": method,
         "parameters": parameters,
         "levels": level_errors(levels, mesh.vertices_m, mesh.faces, seed),
     }
     return SphereTree(levels, parents, mesh.vertices_m, mesh.faces, about), warnings
+
+
+def read_solid(source: Source, seed: int, progress: Progress) -> tuple[Mesh, dict[str, Any] | None, list[str]]:
+    """The mesh of a source, closed where it asks for that, what closing did, and warnings. Raises BadMesh."""
+    progress("reading", 0.0)
+    mesh = _shape(source) if source.mesh.startswith(SHAPE) else _read(source)
+    closing: dict[str, Any] | None = None
+    if source.close:
+        mesh, closing = close_mesh(source.mesh, mesh, seed=seed, progress=progress)
+    # What closing gave is held against the same gate as what came closed.
+    require_closed(source.mesh, mesh, seed)
+    return mesh, closing, closing.pop("warnings") if closing else []
 
 
 def read_assets(path: str | Path, given: Source) -> tuple[list[Source], Path | None]:
@@ -239,16 +244,17 @@ def _check_source(source: Source) -> None:
         )
 
 
-def _check_place(source: Source, leaves: NDArray[np.float64], mesh: Mesh) -> None:
+def check_place(spheres_csv: str, leaves: NDArray[np.float64], vertices_m: NDArray[np.float64]) -> None:
     """Raise BadPack if most spheres are far from the mesh: then their unit or their frame is another."""
-    low, high = mesh.vertices_m.min(axis=0) - 0.1 * mesh.size_m, mesh.vertices_m.max(axis=0) + 0.1 * mesh.size_m
-    near = ((leaves[:, :3] >= low) & (leaves[:, :3] <= high)).all(axis=1) & (leaves[:, 3] <= mesh.size_m)
+    size = float(np.ptp(vertices_m, axis=0).max())
+    low, high = vertices_m.min(axis=0) - 0.1 * size, vertices_m.max(axis=0) + 0.1 * size
+    near = ((leaves[:, :3] >= low) & (leaves[:, :3] <= high)).all(axis=1) & (leaves[:, 3] <= size)
     span = float(np.ptp(leaves[:, :3], axis=0).max() + 2 * leaves[:, 3].max())
-    if near.mean() < 0.5 or span < 0.1 * mesh.size_m:
-        spans = f"its spheres span {1000 * span:.4g} mm, the mesh {1000 * mesh.size_m:.4g} mm"
+    if near.mean() < 0.5 or span < 0.1 * size:
+        spans = f"its spheres span {1000 * span:.4g} mm, the mesh {1000 * size:.4g} mm"
         found = f"{spans}, {near.mean():.0%} are near it"
         needed = "the frame of the mesh and the right --csv-units are needed"
-        raise BadPack("E-CSV-UNITS", str(source.spheres_csv), f"{found}; {needed}")
+        raise BadPack("E-CSV-UNITS", spheres_csv, f"{found}; {needed}")
 
 
 def _read(source: Source) -> Mesh:
@@ -276,7 +282,7 @@ def _name_of(mesh: str) -> str:
     return Path(name.removesuffix(".gz")).stem
 
 
-def _tell_closing(closing: dict[str, Any]) -> str:
+def tell_closing(closing: dict[str, Any]) -> str:
     """One line for the manifest; the figures stand in its parameters."""
     lost, new = (closing["moved_mm"][key]["max"] for key in ("mesh_to_solid", "solid_to_mesh"))
     done = closing["how"] + (f" on a grid of {closing['cell_mm']:.2g} mm" if "cell_mm" in closing else "")

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from palmar.cli_app import HandName, Json, OutFile, OutFolder, Seed, UserProfile, app
+from palmar.cli_app import HandName, Json, Object, OutFile, OutFolder, Seed, UserProfile, app
 
 
 @app.command()
@@ -115,3 +115,51 @@ def fit_hand(
             progress=progress,
         )
     print_json(answer) if json else print_fit(answer)
+
+
+@app.command()
+def cover(
+    file: Annotated[
+        str, typer.Argument(metavar="PACK | MESH | shape:NAME", help="A pack's spheres, or a mesh that CSVs stand for.")
+    ],
+    *,
+    out: OutFolder,
+    spheres_csv: Annotated[
+        list[Path] | None,
+        typer.Option("--spheres-csv", help="Spheres x, y, z, radius of another tool, beside them. May be repeated."),
+    ] = None,
+    csv_units: Annotated[str, typer.Option(help="Unit of the spheres in the CSVs.")] = "m",
+    name: Object = "",
+    level: Annotated[
+        list[int] | None, typer.Option("--level", help="Level instead of the leaves; may be repeated.")
+    ] = None,
+    bound: Annotated[
+        bool, typer.Option("--bound", help="Also how few spheres any choice needs at the same error; takes minutes.")
+    ] = False,
+    units: Annotated[str | None, typer.Option(help="Unit of the mesh: m, cm, mm or in.")] = None,
+    size_mm: Annotated[float | None, typer.Option(help="Length of the mesh's longest side instead of a unit.")] = None,
+    close: Annotated[bool, typer.Option("--close", help="Close an open or self-overlapping mesh.")] = False,
+    seed: Seed = 0,
+    json: Json = False,
+) -> None:
+    """How well spheres stand for their mesh -> a page, pictures and maps coloured by error, worst places, cover.json."""
+    from palmar.show import print_cover
+    from palmar.terminal import print_json, progress_bar
+    from palmar.tools.cover_report import write_cover
+
+    with progress_bar(not json) as progress:
+        answer = write_cover(
+            file,
+            out,
+            object_name=name,
+            levels=level or [],
+            spheres_csv=spheres_csv or [],
+            csv_units=csv_units,
+            units=units,
+            size_mm=size_mm,
+            close=close,
+            bound=bound,
+            seed=seed,
+            progress=progress,
+        )
+    print_json(answer) if json else print_cover(answer)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-from collections.abc import Sequence
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from palmar.errors import BadPack, BadTrace, PalmarError
@@ -38,6 +41,33 @@ def require_folder(path: Path) -> Path:
     if path.exists() and not path.is_dir():
         raise PalmarError("E-FILE-PLACE", str(path), "is a file; the name of a folder is needed")
     return path
+
+
+@contextmanager
+def whole_folder(path: Path, own: set[str], what: str) -> Iterator[Path]:
+    """A new folder to write into, which takes the name `path` when the block ends well; else nothing is left of it.
+
+    An earlier folder that holds nothing but files and folders named in `own` is replaced. Raises PalmarError
+    E-FILE-PLACE, before the block, if something else has the name; what: as such a folder is called.
+    """
+    if path.exists():
+        if not path.is_dir():
+            raise PalmarError("E-FILE-PLACE", str(path), "is a file; the name of a folder is needed")
+        other = sorted({entry.name for entry in path.iterdir()} - own)
+        if other:
+            found = f"holds {other[0]!r}, which is of no {what}; a new folder or one with an earlier {what} is needed"
+            raise PalmarError("E-FILE-PLACE", str(path), found)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+    try:
+        fresh = work / "new"
+        fresh.mkdir()
+        yield fresh
+        if path.exists():
+            path.replace(work / "earlier")
+        fresh.replace(path)
+    finally:
+        shutil.rmtree(work)
 
 
 def nearest(word: str, allowed: Sequence[str]) -> str:

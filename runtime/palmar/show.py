@@ -11,7 +11,7 @@ import numpy as np
 from palmar.model import AssetPack
 from palmar.records import Run, Trace
 from palmar.replay import count_status
-from palmar.terminal import print_fields, print_table
+from palmar.terminal import cell, print_fields, print_table
 
 LEVEL_COLUMNS = ["object", "level", "spheres", "protrusion max mm", "p99", "mean", "gap max mm", "p99", "mean"]
 LEVEL_COLUMNS += ["normals median deg", "p95"]
@@ -23,6 +23,25 @@ FIT_COLUMNS = ["part", "at rest: protrusion max mm", "p99", "mean", "gap max mm"
 FIT_COLUMNS += ["bent: protrusion p99 mm", "gap p99 mm"]
 FIT_ERRORS = [("rest", figure, stat) for figure, stat in LEVEL_ERRORS[:6]]
 FIT_ERRORS += [("sweep", "protrusion_mm", "p99"), ("sweep", "gap_mm", "p99")]
+
+
+COVER_FIGURES = {
+    "spheres": ("spheres",),
+    "balanced p99 mm": ("balanced_p99_mm",),
+    "protrusion p99 mm": ("protrusion_mm", "p99"),
+    "protrusion max mm": ("protrusion_mm", "max"),
+    "gap p99 mm": ("gap_mm", "p99"),
+    "gap max mm": ("gap_mm", "max"),
+    "normals p95 deg": ("normal_deg", "p95"),
+    "felt offset p99 mm": ("felt", "offset_mm", "p99"),
+    "felt normal p50 deg": ("felt", "normal_deg", "p50"),
+    "felt normal p95 deg": ("felt", "normal_deg", "p95"),
+    "felt normal p99 deg": ("felt", "normal_deg", "p99"),
+    "volume union / mesh": ("volume", "ratio"),
+    "tree: not contained": ("tree", "not_contained"),
+    "dual bound: least spheres": ("dual_bound", "least_spheres"),
+    "spheres / dual bound": ("dual_bound", "ratio"),
+}
 
 
 def describe(content: AssetPack | Trace | Run) -> dict[str, Any]:
@@ -111,6 +130,23 @@ def print_fit(answer: dict[str, Any]) -> None:
     print_fields(fields | {"sha256": answer["sha256"]})
 
 
+def print_cover(answer: dict[str, Any]) -> None:
+    """The answer of `palmar.tools.cover_report.write_cover`: the covers side by side, their worst places, the page."""
+    rows: list[tuple[Any, ...]] = []
+    for label, keys in COVER_FIGURES.items():
+        values = [_dig(cover, keys) for cover in answer["covers"]]
+        if any(value != "" for value in values):
+            rows.append((label, *(cell(value) for value in values)))
+    print_table(("", *(cover["name"] for cover in answer["covers"])), rows)
+    places = [
+        (cover["name"], number, *(place[key] for key in ("kind", "what", "max_mm", "extent_mm")), _position(place["at_mm"]))
+        for cover in answer["covers"]
+        for number, place in enumerate(cover["worst_places"], 1)
+    ]
+    print_table(("worst places", "", "error", "on", "max mm", "extent mm", "at x, y, z mm"), places)
+    print_fields({"page": answer["page"]})
+
+
 def print_replay(answer: dict[str, Any]) -> None:
     """The answer of `palmar.replay.replay_file`: how many steps had which status, then the file."""
     _print_status(answer["status"])
@@ -176,6 +212,17 @@ def _describe_time(time_s: Any) -> dict[str, Any]:
 
 def _percentiles(values: Any) -> list[float]:
     return [float(v) for v in np.percentile(values, [50, 99, 99.9, 100])] if len(values) else [0.0] * 4
+
+
+def _dig(value: Any, keys: tuple[str, ...]) -> Any:
+    """What stands under nested keys, "" if nothing does."""
+    for key in keys:
+        value = value.get(key, "") if isinstance(value, dict) else ""
+    return value
+
+
+def _position(at: list[float]) -> str:
+    return ", ".join(f"{x:.1f}" for x in at)
 
 
 def _short(text: str) -> str:
