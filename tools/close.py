@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from palmar.errors import BadMesh
 from palmar.tools.mesh import Mesh, weld
+from palmar.tools.moved import distance_between
 
 Progress = Callable[[str, float], None]
 Array = NDArray[np.float64]
@@ -314,36 +315,40 @@ def _place_on_edges(
 
 
 def _compare(where: str, before: Mesh, after: Mesh, seed: int) -> dict[str, Any]:
-    """Two-sided distance between a mesh and the solid made of it, in mm, and warnings.
+    """Two-sided distance between a mesh and the solid made of it, in mm (see `distance_between`), and warnings.
 
     Skin with the mesh's own inside on both its sides (an overlap, a spout that goes on in the body) bounds nothing and
-    is left out; its share is given.
+    is left out; its share is given. hausdorff_mm: the larger of both maxima.
     """
-    import igl
     import trimesh
+
+    def is_buried(points: Array, normals: Array) -> NDArray[np.bool_]:
+        offset = OFFSET_OF_SIZE * before.size_m * normals
+        return (_winding(before, points + offset) > 0.5) & (_winding(before, points - offset) > 0.5)
+
+    def is_none(points: Array, normals: Array) -> NDArray[np.bool_]:
+        return np.zeros(len(points), dtype=bool)
 
     skin = trimesh.Trimesh(before.vertices_m, before.faces, process=False)
     points, at = trimesh.sample.sample_surface(skin, SAMPLES, seed=seed)
-    offset = OFFSET_OF_SIZE * before.size_m * skin.face_normals[at]
-    buried = (_winding(before, points + offset) > 0.5) & (_winding(before, points - offset) > 0.5)
-    solid = trimesh.Trimesh(after.vertices_m, after.faces, process=False)
-    back, _ = trimesh.sample.sample_surface(solid, SAMPLES, seed=seed)
-    moved = {}
-    for name, of, to in (("mesh_to_solid", points[~buried], after), ("solid_to_mesh", back, before)):
-        squared, _, _ = igl.point_mesh_squared_distance(of, to.vertices_m, to.faces.astype(np.int64))
-        mm = 1000 * np.sqrt(squared) if len(of) else np.zeros(1)
-        moved[name] = {"max": float(mm.max()), "p99": float(np.percentile(mm, 99)), "mean": float(mm.mean())}
-    lost, new = moved["mesh_to_solid"], moved["solid_to_mesh"]
+    lost = distance_between(before.vertices_m, before.faces, after.vertices_m, after.faces, seed, is_buried)
+    new = distance_between(after.vertices_m, after.faces, before.vertices_m, before.faces, seed, is_none)
     allowed = WARN_OF_SIZE * 1000 * before.size_m
     warnings = []
     if lost["max"] > allowed:
         warnings.append(
-            f"{where}: parts of the mesh are up to {lost['max']:.2f} mm away from the solid made of it "
-            f"(p99 {lost['p99']:.2f}, mean {lost['mean']:.2f} mm): what encloses nothing is lost"
+            f"{where}: parts of the mesh are up to {_tell(lost)}, away from the solid made of it: what encloses nothing is lost"
         )
     if new["max"] > allowed:
-        warnings.append(
-            f"{where}: the solid has new surface up to {new['max']:.2f} mm away from the mesh "
-            f"(p99 {new['p99']:.2f}, mean {new['mean']:.2f} mm): it spans the holes"
-        )
-    return {"moved_mm": moved, "buried_share": float(buried.mean()), "warnings": warnings}
+        warnings.append(f"{where}: the solid has new surface up to {_tell(new)}, away from the mesh: it spans the holes")
+    return {
+        "moved_mm": {"mesh_to_solid": lost, "solid_to_mesh": new},
+        "hausdorff_mm": max(lost["max"], new["max"]),
+        "buried_share": float(is_buried(points, skin.face_normals[at]).mean()),
+        "warnings": warnings,
+    }
+
+
+def _tell(moved: dict[str, Any]) -> str:
+    at = ", ".join(f"{x:.1f}" for x in moved["at_mm"])
+    return f"{moved['max']:.2f} mm at {at} (p99 {moved['p99']:.2f}, mean {moved['mean']:.2f} mm)"

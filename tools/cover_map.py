@@ -71,15 +71,16 @@ def unwrap(solid: Solid, texels: int = TEXELS) -> Unwrapped:
 def write_map(path: str | Path, place: Unwrapped, errors: SurfaceErrors, colours: Array) -> list[str]:
     """Write the errors at the texels as float32 channels; returns their names.
 
-    colours (n, 3): what viewers show, linear R, G, B; A is 1 on the surface. NaN: no fingertip reaches this place.
+    colours (n, 3), sRGB: what viewers show, stored linear as R, G, B; A is 1 on the surface. NaN: no fingertip reaches this place.
     """
     import OpenEXR
 
     position = place.points * 1e3
+    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
     values = {
-        "R": colours[:, 0],
-        "G": colours[:, 1],
-        "B": colours[:, 2],
+        "R": linear[:, 0],
+        "G": linear[:, 1],
+        "B": linear[:, 2],
         "A": np.ones(len(position)),
         "gap_mm": errors.gap_m * 1e3,
         "protrusion_mm": errors.protrusion_m * 1e3,

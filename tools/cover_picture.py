@@ -27,6 +27,7 @@ _VIEWS = {
     "from the left": (-1.0, -0.5, 0.45),
     "from below": (0.0, -1e-4, -1.0),
 }
+_STEPS = (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)
 _STYLE: Any = {"font.family": "DejaVu Sans", "font.size": 9}
 _METADATA = {"Software": "palmar"}
 
@@ -37,10 +38,10 @@ def colour(signed_mm: Array, limit_mm: float) -> Array:
 
 
 def colour_limit(*errors_mm: float) -> float:
-    """A round number of mm, no less than the largest of the errors: the end of a colour scale."""
+    """A round number of mm, about the largest of the errors: the end of a colour scale."""
     largest = max(*errors_mm, 1e-3)
     power = 10.0 ** np.floor(np.log10(largest))
-    return float(power * next(step for step in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if step * power >= largest * (1 - 1e-9)))
+    return float(power * next(step for step in _STEPS if step * power >= 0.97 * largest))
 
 
 def draw_cover(

@@ -32,6 +32,7 @@ Progress = Callable[[str, float], None]
 OF_A_COVER = {"index.html", "cover.json", "pictures", "maps"}
 # Below this nothing is worth a place in a list.
 _LEAST_OF_SIZE = 1e-6
+_FADE = 4.0
 
 
 @dataclass(frozen=True)
@@ -116,8 +117,9 @@ def _measure_all(
             tell(f"{cover.name}: the least number of spheres", (number + 0.5) / steps)
             figures["dual_bound"] = _bound(solid, figures["balanced_p99_mm"], cover.spheres, seed)
         rows.append({"name": cover.name, **cover.about, **figures})
-    # One scale of colours, so that pictures can be held side by side.
-    limit = colour_limit(*(row[kind]["p99"] for row in rows for kind in ("gap_mm", "protrusion_mm")))
+    # One scale of colours, so that pictures can be held side by side; not so wide that the first one fades.
+    largest = [max(row["gap_mm"]["p99"], row["protrusion_mm"]["p99"]) for row in rows]
+    limit = colour_limit(min(max(largest), _FADE * largest[0]))
     for kind in ("pictures", "maps"):
         (folder / kind).mkdir()
     for number, (cover, row) in enumerate(zip(covers, rows, strict=True)):

@@ -25,6 +25,7 @@ FIT_ERRORS = [("rest", figure, stat) for figure, stat in LEVEL_ERRORS[:6]]
 FIT_ERRORS += [("sweep", "protrusion_mm", "p99"), ("sweep", "gap_mm", "p99")]
 
 
+CLOSING_COLUMNS = ["object", "closed", "distance of", "max mm", "p99", "mean", "largest at x, y, z mm"]
 COVER_FIGURES = {
     "spheres": ("spheres",),
     "balanced p99 mm": ("balanced_p99_mm",),
@@ -180,7 +181,21 @@ def _print_pack(description: dict[str, Any]) -> None:
         for name, about in objects.items()
     ]
     print_table(columns, rows)
+    closed = _closing_rows(objects)
+    if closed:
+        print_table(CLOSING_COLUMNS, closed)
     print_table(LEVEL_COLUMNS, _level_rows(objects))
+
+
+def _closing_rows(objects: dict[str, Any]) -> list[tuple[Any, ...]]:
+    """How far each closed mesh is from the solid made of it, both ways."""
+    rows = []
+    for name, about in objects.items():
+        closing = about.get("parameters", {}).get("closing")
+        for way, moved in (closing or {}).get("moved_mm", {}).items():
+            at = _position(moved["at_mm"]) if moved.get("at_mm") else ""
+            rows.append((name, closing["how"], way.replace("_", " "), *(moved[k] for k in ("max", "p99", "mean")), at))
+    return rows
 
 
 def _print_status(counts: dict[str, int]) -> None:
