@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <numbers>
 #include <numeric>
+#include <queue>
 
 #include "point_tree.h"
 #include "random.h"
@@ -13,7 +15,7 @@ namespace palmar {
 namespace {
 
 constexpr int kLeaf = 4;
-constexpr std::size_t kHiders = 32;
+constexpr std::size_t kAround = 256, kHiders = 32;
 constexpr int kCoarse = 4;  // 6 x 4 x 4 patches of about 20 degrees
 // Chord from the middle of a patch to its corners, times the cells a side: an equiangular cell is at most pi / 2 /
 // cells wide and skewed by at most 30 degrees, sqrt(2) (pi / 4) sqrt(1.335).
@@ -47,7 +49,7 @@ SphereUnion::SphereUnion(std::vector<Ball> balls) : balls_(std::move(balls)), or
   for (const Ball& ball : balls_) largest_ = std::max(largest_, ball.radius);
   if (balls_.empty()) return;
   nodes_.reserve(balls_.size() + 1);
-  nodes_.push_back({Eigen::Array3d::Zero(), Eigen::Array3d::Zero(), 0, std::int32_t(balls_.size())});
+  nodes_.push_back({Eigen::Array3d::Zero(), Eigen::Array3d::Zero(), 0, 0, std::int32_t(balls_.size())});
   split(0);
 }
 
@@ -55,26 +57,26 @@ void SphereUnion::split(std::int32_t index) {
   const std::int32_t first = nodes_[index].first, count = nodes_[index].count;
   const auto begin = order_.begin() + first;
   Eigen::Array3d low = Eigen::Array3d::Constant(std::numeric_limits<double>::infinity()), high = -low;
-  Eigen::Array3d inner = low, outer = high;
+  double largest = 0;
   for (auto at = begin; at != begin + count; ++at) {
     const Ball& ball = balls_[*at];
-    low = low.min(ball.center.array() - ball.radius);
-    high = high.max(ball.center.array() + ball.radius);
-    inner = inner.min(ball.center.array());
-    outer = outer.max(ball.center.array());
+    low = low.min(ball.center.array());
+    high = high.max(ball.center.array());
+    largest = std::max(largest, ball.radius);
   }
   nodes_[index].low = low;
   nodes_[index].high = high;
+  nodes_[index].largest = largest;
   if (count <= kLeaf) return;
   int axis = 0;
-  (outer - inner).maxCoeff(&axis);
+  (high - low).maxCoeff(&axis);
   const std::int32_t half = count / 2;
   std::nth_element(begin, begin + half, begin + count, [&](std::int32_t i, std::int32_t j) {
     return std::pair(balls_[i].center[axis], i) < std::pair(balls_[j].center[axis], j);
   });
   const std::int32_t child = std::int32_t(nodes_.size());
-  nodes_.push_back({low, high, first, half});
-  nodes_.push_back({low, high, first + half, count - half});
+  nodes_.push_back({low, high, largest, first, half});
+  nodes_.push_back({low, high, largest, first + half, count - half});
   nodes_[index].first = child;
   nodes_[index].count = 0;
   split(child);
@@ -130,7 +132,7 @@ std::vector<NearBall> SphereUnion::exits(const std::vector<Vec3>& points, const 
       stack[open++] = 0;
       while (open) {
         const Node& node = nodes_[stack[--open]];
-        if ((p < node.low - slack).any() || (p > node.high + slack).any()) continue;
+        if (node.distance(p) > slack) continue;
         if (node.count == 0) {
           stack[open++] = node.first;
           stack[open++] = node.first + 1;
@@ -164,7 +166,7 @@ bool SphereUnion::covers(const Vec3& point, double offset, std::int32_t but) con
   stack[open++] = 0;
   while (open) {
     const Node& node = nodes_[stack[--open]];
-    if ((p < node.low - offset).any() || (p > node.high + offset).any()) continue;
+    if (node.distance(p) > offset) continue;
     if (node.count == 0) {
       stack[open++] = node.first;
       stack[open++] = node.first + 1;
@@ -183,8 +185,7 @@ std::pair<double, std::int32_t> SphereUnion::least_growth(const std::array<Vec3,
   std::pair<double, std::int32_t> best{std::numeric_limits<double>::infinity(), -1};
   const Eigen::Array3d p = corners[0];
   const auto bound = [&](std::int32_t index) {
-    const Node& node = nodes_[index];
-    return std::sqrt((node.low - p).max(p - node.high).max(0.0).square().sum());
+    return std::max(nodes_[index].distance(p), 0.0);
   };
   std::vector<std::pair<double, std::int32_t>> stack{{bound(0), 0}};
   while (!stack.empty() && best.first > 0) {
@@ -243,22 +244,27 @@ std::vector<double> SphereUnion::radii_to_cover(const std::vector<Vec3>& vertice
 std::vector<std::int32_t> SphereUnion::hiders(std::int32_t index, double offset) const {
   const Ball& own = balls_[index];
   const Eigen::Array3d p = own.center;
-  const double reach = own.radius + 2 * offset;
   std::vector<std::pair<double, std::int32_t>> found;
-  std::vector<std::int32_t> stack{0};
-  while (!stack.empty()) {
-    const Node& node = nodes_[stack.back()];
-    stack.pop_back();
-    if ((p + reach < node.low).any() || (p - reach > node.high).any()) continue;
+  // Nodes, the nearest first.
+  std::priority_queue<std::pair<double, std::int32_t>, std::vector<std::pair<double, std::int32_t>>, std::greater<>>
+      open;
+  const auto push = [&](std::int32_t node) {
+    const double distance = nodes_[node].distance(p);
+    if (distance < own.radius + 2 * offset) open.push({distance + nodes_[node].largest, node});
+  };
+  push(0);
+  while (!open.empty() && found.size() < kAround) {
+    const Node& node = nodes_[open.top().second];
+    open.pop();
     if (node.count == 0) {
-      stack.push_back(node.first);
-      stack.push_back(node.first + 1);
+      push(node.first);
+      push(node.first + 1);
       continue;
     }
     for (std::int32_t at = node.first; at < node.first + node.count; ++at) {
       const std::int32_t other = order_[at];
       const double apart = (balls_[other].center - own.center).norm();
-      if (other == index || apart >= reach + balls_[other].radius) continue;
+      if (other == index || apart >= own.radius + balls_[other].radius + 2 * offset) continue;
       // Cosine of the cap that it hides: all of the sphere at -1.
       const double a = own.radius + offset, b = balls_[other].radius + offset;
       const double cap = apart > 0 ? (a * a + apart * apart - b * b) / (2 * a * apart) : (b > a ? -1.0 : 2.0);

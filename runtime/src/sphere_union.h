@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <utility>
 #include <vector>
@@ -46,14 +47,23 @@ class SphereUnion {
 
  private:
   struct Node {
-    Eigen::Array3d low, high;  // of the spheres without an offset
+    Eigen::Array3d low, high;  // of the centres
+    double largest;            // radius
     std::int32_t first, count;
+
+    // How far the point is from the nearest place that a centre may have, less the largest radius: a bound from below of
+    // its distance to the spheres, tight even where large spheres crowd around one place.
+    double distance(const Eigen::Array3d& point) const {
+      return std::sqrt((low - point).max(point - high).max(0.0).square().sum()) - largest;
+    }
   };
   void split(std::int32_t node);
   bool covers(const Vec3& point, double offset, std::int32_t but) const;
+  // Spheres that hide much of a sphere's skin, all grown by `offset`: of those around it, whose number does not grow with
+  // that of all.
+  std::vector<std::int32_t> hiders(std::int32_t ball, double offset) const;
   // The least that a sphere must grow by to hold the three corners, at most 0 where one does; and that sphere.
   std::pair<double, std::int32_t> least_growth(const std::array<Vec3, 3>& corners) const;
-  std::vector<std::int32_t> hiders(std::int32_t ball, double offset) const;
 
   std::vector<Ball> balls_;
   std::vector<Node> nodes_;
