@@ -27,17 +27,17 @@ LAYERS = [
 # Any other package has these doors only. OF_FUNCTIONS are too heavy for the top of a file.
 EVERYWHERE = {"palmar", "numpy", "scipy"}
 DOORS = {
-    "igl": ["eval/gap.py", "tools/close.py", "tools/solid.py"],
+    "igl": ["eval/gap.py", "tools/close.py", "tools/moved.py", "tools/solid.py"],
     "manifold3d": ["tools/close.py", "tools/hand_palm.py", "tools/lattice.py", "tools/shapes.py"],
-    "OpenEXR": ["tools/hand_map.py"],
-    "matplotlib": ["eval/figures.py", "tools/hand_picture.py"],
+    "OpenEXR": ["tools/cover_map.py", "tools/hand_map.py"],
+    "matplotlib": ["eval/figures.py", "tools/cover_picture.py", "tools/hand_picture.py"],
     "plotly": ["eval/page.py"],
     "pydantic": ["traces/scene_file.py"],
     "pygltflib": ["tools/gltf_skin.py"],
     "rich": ["runtime/palmar/terminal.py"],
     "safetensors": ["runtime/palmar/model.py"],
     "threadpoolctl": ["tools/hand_fit.py"],
-    "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py"],
+    "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py", "tools/moved.py"],
     "typer": [f"runtime/palmar/cli{name}.py" for name in ("", "_app", "_calibrate", "_make", "_trace", "_judge")],
 }
 OF_FUNCTIONS = {"open3d", "pyvista"}
