@@ -11,9 +11,9 @@ from palmar.tools.solid import closest_points, is_inside, make_solid
 from palmar.tools.sphere_tree import MODES, build_levels
 
 MADE = {
-    "plate of 1 mm": (plate_of_1_mm, 2e-3),
+    "plate of 1 mm": (plate_of_1_mm, 4e-3),
     "two bodies, 40 and 2 mm": (two_bodies, 5e-4),
-    "hexagonal prism": (SHAPES["hexagonal_prism"], 2e-3),
+    "hexagonal prism": (SHAPES["hexagonal_prism"], 3e-3),
 }
 
 
