@@ -337,10 +337,13 @@ def _compare(where: str, before: Mesh, after: Mesh, seed: int) -> dict[str, Any]
     warnings = []
     if lost["max"] > allowed:
         warnings.append(
-            f"{where}: parts of the mesh are up to {_tell(lost)}, away from the solid made of it: what encloses nothing is lost"
+            f"{where}: parts of the mesh are up to {_tell(lost)}, away from the solid made of it: "
+            "what encloses nothing is lost"
         )
     if new["max"] > allowed:
-        warnings.append(f"{where}: the solid has new surface up to {_tell(new)}, away from the mesh: it spans the holes")
+        warnings.append(
+            f"{where}: the solid has new surface up to {_tell(new)}, away from the mesh: it spans the holes"
+        )
     return {
         "moved_mm": {"mesh_to_solid": lost, "solid_to_mesh": new},
         "hausdorff_mm": max(lost["max"], new["max"]),

@@ -24,9 +24,9 @@ def measure_cover(solid: Solid, spheres: Array, seed: int = 0) -> dict[str, Any]
 
     gap_mm and protrusion_mm as in `level_errors`, with p50 and p95; balanced_p99_mm: the mean of their p99.
     normal_deg: what a 2 mm ball rolled over the union feels against what it would feel of the mesh at the same place.
-    felt: the same for a fingertip of 7 mm, with offset_mm: how far from its right place it rests, either way, held_off_mm
-    and let_in_mm: the p99 of each way, and inside_share: of its places those with its middle in the solid, where spheres
-    leave a hole; they are left out. volume: of union and mesh in cm3, and the ratio.
+    felt: the same for a fingertip of 7 mm, with offset_mm: how far from its right place it rests, either way,
+    held_off_mm and let_in_mm: the p99 of each way, and inside_share: of its places those with its middle in the solid,
+    where spheres leave a hole; they are left out. volume: of union and mesh in cm3, and the ratio.
     """
     points, _ = sample_surface(solid, _POINTS, seed + 101)
     gap = np.maximum(union_gap(spheres, points), 0) * MM
@@ -103,8 +103,8 @@ def protrusion(solid: Solid, spheres: Array, count: int, seed: int) -> tuple[Arr
 def felt_errors(solid: Solid, spheres: Array, radius_m: float, count: int, seed: int) -> tuple[Array, Array, Array]:
     """A ball rolled over the union against one rolled over the mesh: offset (n,) in metres, angle (n,), area (n,).
 
-    offset: how much farther from the mesh than its radius the ball's middle is; negative inside the solid, too. Angle in
-    degrees between the normals that it meets on both; NaN with its middle inside the solid.
+    offset: how much farther from the mesh than its radius the ball's middle is; negative inside the solid, too. Angle
+    in degrees between the normals that it meets on both; NaN with its middle inside the solid.
     """
     spacing = np.sqrt(solid.areas.sum() / count)
     owner, direction, solid_angle = exposed_skin(spheres, radius_m, spacing, seed)

@@ -21,13 +21,13 @@ Array = NDArray[np.float64]
 
 TEXELS = 250_000  # of the surface, about
 _MARGIN = 2
-# Axis that is looked along, and from which side; right and up are the next axes, mirrored where the view is from behind.
+# Axis that is looked along, and from which side; right and up are the next two, mirrored seen from behind.
 _SIDES = [(axis, sign) for axis in range(3) for sign in (1, -1)]
 
 
 @dataclass(frozen=True)
 class Unwrapped:
-    """Texels of a surface: place in an image of `shape` (rows, columns), point (n, 3), unit normal (n, 3), area (n,)."""
+    """Texels of a surface: place in an image of `shape` (rows, columns), point and unit normal (n, 3), area (n,)."""
 
     shape: tuple[int, int]
     row: NDArray[np.int64]
@@ -71,7 +71,8 @@ def unwrap(solid: Solid, texels: int = TEXELS) -> Unwrapped:
 def write_map(path: str | Path, place: Unwrapped, errors: SurfaceErrors, colours: Array) -> list[str]:
     """Write the errors at the texels as float32 channels; returns their names.
 
-    colours (n, 3), sRGB: what viewers show, stored linear as R, G, B; A is 1 on the surface. NaN: no fingertip reaches this place.
+    colours (n, 3), sRGB: what viewers show, stored linear as R, G, B; A is 1 on the surface. NaN in
+    a felt channel: no fingertip reaches the place.
     """
     import OpenEXR
 

@@ -29,13 +29,28 @@ _FIGURES = (
     ("What a fingertip feels", "normal p50, degrees", "felt normal_deg p50", ""),
     ("What a fingertip feels", "normal p95, degrees", "felt normal_deg p95", ""),
     ("What a fingertip feels", "normal p99, degrees", "felt normal_deg p99", ""),
-    ("What a fingertip feels", "inside, share", "felt inside_share", "of its places, in a hole of the union; left out above"),
+    (
+        "What a fingertip feels",
+        "inside, share",
+        "felt inside_share",
+        "of its places, in a hole of the union; left out above",
+    ),
     ("Volume", "union / mesh", "volume ratio", "1: right as a whole, not everywhere"),
     ("Tree", "levels", "tree levels", ""),
-    ("Tree", "not contained", "tree not_contained", "spheres that reach out of their parent: contacts that a search loses"),
+    (
+        "Tree",
+        "not contained",
+        "tree not_contained",
+        "spheres that reach out of their parent: contacts that a search loses",
+    ),
     ("Tree", "not contained, float32", "tree not_contained_float32", "the same in the precision of a fast search"),
     ("Tree", "farthest out, mm", "tree farthest_out_mm", ""),
-    ("Dual bound", "least spheres", "dual_bound least_spheres", "no choice with one common excess does with fewer, at its balanced p99"),
+    (
+        "Dual bound",
+        "least spheres",
+        "dual_bound least_spheres",
+        "no choice with one common excess does with fewer, at its balanced p99",
+    ),
     ("Dual bound", "spheres / least", "dual_bound ratio", ""),
 )
 _COUNTED = {"spheres", "volume ratio", "tree levels", "dual_bound least_spheres"}  # no best among them
@@ -63,8 +78,9 @@ def build_page(answer: dict[str, Any], folder: Path) -> str:
 def _lead(covers: list[dict[str, Any]]) -> str:
     first = covers[0]
     said = (
-        f"{first['name']}: {first['spheres']:,} spheres. 99 % of its surface is within {first['gap_mm']['p99']:.3g} mm below the mesh "
-        f"and 99 % of its skin within {first['protrusion_mm']['p99']:.3g} mm above it; a fingertip rests within "
+        f"{first['name']}: {first['spheres']:,} spheres. 99 % of its surface is within "
+        f"{first['gap_mm']['p99']:.3g} mm below the "
+        f"mesh and 99 % of its skin within {first['protrusion_mm']['p99']:.3g} mm above it; a fingertip rests within "
         f"{first['felt']['offset_mm']['p99']:.3g} mm of its place and feels the normal within "
         f"{first['felt']['normal_deg']['p95']:.2g} degrees at 95 % of it."
     )
@@ -82,7 +98,10 @@ def _closing(mesh: dict[str, Any]) -> str:
     rows = [
         f"<tr><td>{label}</td>{''.join(_cell(moved[key][stat]) for stat in ('max', 'p99', 'mean'))}"
         f'<td class="number">{_position(moved[key].get("at_mm"))}</td></tr>'
-        for label, key in (("of the mesh from the solid", "mesh_to_solid"), ("of the solid from the mesh", "solid_to_mesh"))
+        for label, key in (
+            ("of the mesh from the solid", "mesh_to_solid"),
+            ("of the solid from the mesh", "solid_to_mesh"),
+        )
     ]
     head = '<th></th><th class="number">max</th><th class="number">p99</th><th class="number">mean</th>'
     head += '<th class="number">the largest is at</th>'
@@ -122,7 +141,8 @@ def _section(cover: dict[str, Any], folder: Path) -> str:
     rows = [
         f'<tr><td class="number">{number}</td><td>{place["kind"]}</td><td>{_what(place)}</td>{_cell(place["max_mm"])}'
         f"{_cell(place['mean_mm'])}{_cell(place['extent_mm'])}{_cell(place['area_mm2'])}"
-        f'<td class="number">{_position(place["at_mm"])}</td><td class="number">{_position(place["centre_mm"])}</td></tr>'
+        f'<td class="number">{_position(place["at_mm"])}</td>'
+        f'<td class="number">{_position(place["centre_mm"])}</td></tr>'
         for number, place in enumerate(cover["worst_places"], 1)
     ]
     titles = ("", "", "on", "max, mm", "mean, mm", "extent, mm", "area, mm²", "worst point, mm", "centre, mm")
@@ -130,9 +150,9 @@ def _section(cover: dict[str, Any], folder: Path) -> str:
     table = f'<div class="scroll"><table><tr>{head}</tr>{"".join(rows)}</table></div>' if rows else "<p>None.</p>"
     name = escape(cover["name"])
     return (
-        f'<h2>{name}</h2><p><img src="data:image/png;base64,{image}" alt="{name}, from six sides, coloured by error"></p>'
-        f"<p>The worst places, numbered as in the picture: the worst 2 % of the area for gap and for protrusion, the five "
-        f"highest of each.</p>{table}"
+        f'<h2>{name}</h2><p><img src="data:image/png;base64,{image}" alt="{name}, from six sides, by error"></p>'
+        "<p>The worst places, numbered as in the picture: the worst 2 % of the area for gap and for protrusion, "
+        f"the five highest of each.</p>{table}"
         f'<p class="note">Map: <a href="{escape(cover["map"])}">{escape(cover["map"])}</a></p>'
     )
 
@@ -150,9 +170,9 @@ def _dig(cover: dict[str, Any], path: str) -> float | None:
 
 
 def _cell(value: float | None, kind: str = "") -> str:
-    text = "–" if value is None else f"{value:,}" if isinstance(value, int) else f"{value:.3g}"
+    text = "-" if value is None else f"{value:,}" if isinstance(value, int) else f"{value:.3g}"
     return f'<td class="number {kind}">{text}</td>'
 
 
 def _position(at: list[float] | None) -> str:
-    return "–" if at is None else ", ".join(f"{x:.1f}" for x in at)
+    return "-" if at is None else ", ".join(f"{x:.1f}" for x in at)

@@ -64,7 +64,9 @@ def draw_cover(
             _scale(limit_mm), cax=figure.add_axes((0.915, 0.16, 0.018, 0.66)), extend="both", extendfrac=0.03
         )
         bar.set_label("missing (gap)      mm      sticks out (protrusion)")
-        bar.set_ticks([*np.linspace(-limit_mm, limit_mm, 5)], labels=[f"{abs(x):g}" for x in np.linspace(-1, 1, 5) * limit_mm])
+        bar.set_ticks(
+            [*np.linspace(-limit_mm, limit_mm, 5)], labels=[f"{abs(x):g}" for x in np.linspace(-1, 1, 5) * limit_mm]
+        )
         figure.savefig(path, metadata=_METADATA)
 
 

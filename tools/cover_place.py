@@ -43,9 +43,7 @@ class SurfaceErrors:
         return self.protrusion_m - self.gap_m
 
 
-def surface_errors(
-    solid: Solid, spheres: Array, points: Array, normals: Array, felt: bool = True
-) -> SurfaceErrors:
+def surface_errors(solid: Solid, spheres: Array, points: Array, normals: Array, felt: bool = True) -> SurfaceErrors:
     """Errors at points of the surface (n, 3) with unit outward normals (n, 3), of spheres (m, 4).
 
     felt: also what a fingertip feels; NaN everywhere if not.
@@ -82,9 +80,9 @@ def worst_places(
 ) -> list[dict[str, Any]]:
     """Where the error is among the worst 2 % of the area, and above least_m, put together to places, the worst first.
 
-    points (n, 3) of the surface, their errors (n,) and areas (n,). A place is a group of such points, each within apart_m
-    of another, as far as that is 4 to 12 sample distances. Each: kind, at_mm (of the largest error), centre_mm, extent_mm, area_mm2, max_mm,
-    mean_mm, what (see `_reason`) and thickness_mm of what is there, None where it is no wall.
+    points (n, 3) of the surface, their errors (n,) and areas (n,). A place is a group of such points, each within
+    apart_m of another, as far as that is 4 to 12 sample distances. Each: kind, at_mm (of the largest error), centre_mm,
+    extent_mm, area_mm2, max_mm, mean_mm, what (see `_reason`) and thickness_mm, None where it is no wall.
     """
     limit = max(_weighted_limit(error_m, weight), least_m)
     bad = np.flatnonzero(error_m > limit)
@@ -121,9 +119,9 @@ def worst_places(
 def _reason(solid: Solid, points: Array, error_m: float) -> tuple[str, float | None]:
     """What most of the points (n, 3) of a place lie on, by the largest balls that touch there inside and outside.
 
-    "concave notch": the outer ball is small, and smaller than the inner; "sharp edge": the inner ball is small, and what
-    else it touches stands across; "thin wall": it touches the other side of less than a tenth of the object, and then
-    the wall's thickness is given; else "plain side": nothing but the number of spheres.
+    "concave notch": the outer ball is small, and smaller than the inner; "sharp edge": the inner ball is small, and
+    what else it touches stands across; "thin wall": it touches the other side of less than a tenth of the object, and
+    then the thickness of the wall is given; else "plain side": nothing but the number of spheres.
     """
     points = points[:: max(1, len(points) // _LOOKED_AT)]
     _, foot, face = closest_points(solid, points)
@@ -143,12 +141,11 @@ def _reason(solid: Solid, points: Array, error_m: float) -> tuple[str, float | N
 
 
 def _touching_balls(solid: Solid, points: Array, directions: Array) -> tuple[Array, Array]:
-    """Radius (n,) of the largest ball on one side of each surface point, and the cosine of the normals where it touches.
+    """Radius (n,) of the largest ball on one side of each surface point, and cosine of the normals where it touches.
 
     Shrinking balls (Ma, Bae, Choi 2012) from half the object's size; cosine 1 where none but the point was met.
     """
-    own, _, own_face = closest_points(solid, points)
-    del own
+    _, _, own_face = closest_points(solid, points)
     radius = np.full(len(points), 0.5 * solid.size)
     cosine = np.ones(len(points))
     left = np.arange(len(points))

@@ -94,7 +94,9 @@ def write_cover(
             raise PalmarError("E-USAGE", "--spheres-csv", f"{path} holds a mesh alone; spheres to measure are needed")
         crowded = [cover.name for cover in covers if bound and len(cover.spheres) > MOST_BALLS]
         if crowded:
-            raise PalmarError("E-CONF", "--bound", f"{crowded[0]} has more than {MOST_BALLS:,} spheres; up to that it is found")
+            raise PalmarError(
+                "E-CONF", "--bound", f"{crowded[0]} has more than {MOST_BALLS:,} spheres; up to that it is found"
+            )
         answer = _measure_all(subject, covers, folder, bound, seed, tell)
         (folder / "cover.json").write_text(json.dumps(answer, indent=1, sort_keys=True) + "\n")
         (folder / "index.html").write_text(build_page(answer, folder), encoding="utf-8")
@@ -193,7 +195,9 @@ def _told(path: str, tree: SphereTree) -> dict[str, Any]:
 
 def _only_object(path: str, pack: AssetPack) -> str:
     if len(pack.objects) != 1:
-        raise PalmarError("E-OBJECT", path, f"{len(pack.objects)} objects: {', '.join(pack.objects)}; --object names one")
+        raise PalmarError(
+            "E-OBJECT", path, f"{len(pack.objects)} objects: {', '.join(pack.objects)}; --object names one"
+        )
     return next(iter(pack.objects))
 
 

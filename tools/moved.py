@@ -22,9 +22,11 @@ def distance_between(
 ) -> dict[str, Any]:
     """From one surface to another: max, p99, mean and at_most in mm, and where the largest is (at_mm).
 
-    drop(points, normals) says which points of the first do not count: such as are inside the other. p99 and mean: 50,000 samples by area. max: from
-    the largest sample on, triangles are cut in four as long as a piece of them may hold a distance 1 % larger: the
-    distance of a piece's middle and the reach of its corners bound it. at_most_mm is what the pieces leave open.
+    drop(points, normals) says which points of the first do not count: such as are inside the other. p99 and mean: of
+    50,000 samples by area. max: from the largest sample on, triangles are cut in four as long as a piece of them may
+    hold a distance 1 % larger. What a piece may hold: no more than the distance of its middle and the reach of its
+    corners; nor, the distance to one triangle being convex, than its corners' largest distance to the triangle nearest
+    to the middle. at_most: what is left open.
     """
     import igl
     import trimesh
@@ -38,8 +40,7 @@ def distance_between(
     tree.init(other, targets)
     skin = trimesh.Trimesh(vertices, faces, process=False)
     points, at = trimesh.sample.sample_surface(skin, SAMPLES, seed=seed)
-    counted = ~drop(points, skin.face_normals[at])
-    points = points[counted]
+    points = points[~drop(points, skin.face_normals[at])]
     if not len(points):
         return {"max": 0.0, "p99": 0.0, "mean": 0.0, "at_mm": None, "at_most": 0.0}
     distance, _ = away(points)
@@ -61,7 +62,7 @@ def distance_between(
         if len(counted):
             found = counted[np.argmax(mine[counted])]
             best, where = float(mine[found]), middle[found]
-        # Skin stops not to count where it comes out of the other surface: farther from it than it reaches, none of it does.
+        # Skin counts again where it comes out of the other surface: a piece that does not reach there is left out.
         bound[hidden[mine[hidden] > reach[hidden]]] = 0
         pieces, turned = np.concatenate([pieces, fresh]), np.concatenate([turned, normals])
         bounds = np.concatenate([bounds, bound])

@@ -67,9 +67,7 @@ def union_nearest(spheres: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, 
     The distance to the union where positive; 0 or below is inside.
     """
 
-def union_exits(
-    spheres: np.ndarray, points: np.ndarray, directions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def union_exits(spheres: np.ndarray, points: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where rays along unit directions (n, 3) leave the union first: lengths (n,), and the spheres (n,) left there.
 
     0 and -1 for a point outside.

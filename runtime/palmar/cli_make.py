@@ -142,7 +142,7 @@ def cover(
     seed: Seed = 0,
     json: Json = False,
 ) -> None:
-    """How well spheres stand for their mesh -> a page, pictures and maps coloured by error, worst places, cover.json."""
+    """How well spheres stand for their mesh -> a page, pictures and maps coloured by error, cover.json."""
     from palmar.show import print_cover
     from palmar.terminal import print_json, progress_bar
     from palmar.tools.cover_report import write_cover

@@ -140,7 +140,12 @@ def print_cover(answer: dict[str, Any]) -> None:
             rows.append((label, *(cell(value) for value in values)))
     print_table(("", *(cover["name"] for cover in answer["covers"])), rows)
     places = [
-        (cover["name"], number, *(place[key] for key in ("kind", "what", "max_mm", "extent_mm")), _position(place["at_mm"]))
+        (
+            cover["name"],
+            number,
+            *(place[key] for key in ("kind", "what", "max_mm", "extent_mm")),
+            _position(place["at_mm"]),
+        )
         for cover in answer["covers"]
         for number, place in enumerate(cover["worst_places"], 1)
     ]

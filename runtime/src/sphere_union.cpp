@@ -184,9 +184,7 @@ bool SphereUnion::covers(const Vec3& point, double offset, std::int32_t but) con
 std::pair<double, std::int32_t> SphereUnion::least_growth(const std::array<Vec3, 3>& corners) const {
   std::pair<double, std::int32_t> best{std::numeric_limits<double>::infinity(), -1};
   const Eigen::Array3d p = corners[0];
-  const auto bound = [&](std::int32_t index) {
-    return std::max(nodes_[index].distance(p), 0.0);
-  };
+  const auto bound = [&](std::int32_t index) { return std::max(nodes_[index].distance(p), 0.0); };
   std::vector<std::pair<double, std::int32_t>> stack{{bound(0), 0}};
   while (!stack.empty() && best.first > 0) {
     const auto [least, index] = stack.back();

@@ -33,8 +33,8 @@ class SphereUnion {
 
   // The ball with the least distance to each point: outside the union, the distance to the union.
   std::vector<NearBall> nearest(const std::vector<Vec3>& points) const;
-  // Where a ray along the unit direction from each point leaves the union first, and the ball that it leaves there; 0 and
-  // no ball for a point outside.
+  // Where a ray along the unit direction from each point leaves the union first, and the ball that it leaves there; 0
+  // and no ball for a point outside.
   std::vector<NearBall> exits(const std::vector<Vec3>& points, const std::vector<Vec3>& directions) const;
   // Samples of the skin, every sphere grown by `offset`: about one for each spacing^2. A patch of a sphere inside a
   // neighbour is dropped whole, the others are split.
@@ -51,16 +51,16 @@ class SphereUnion {
     double largest;            // radius
     std::int32_t first, count;
 
-    // How far the point is from the nearest place that a centre may have, less the largest radius: a bound from below of
-    // its distance to the spheres, tight even where large spheres crowd around one place.
+    // How far the point is from the nearest place that a centre may have, less the largest radius: a bound from below
+    // of its distance to the spheres, tight even where large spheres crowd around one place.
     double distance(const Eigen::Array3d& point) const {
       return std::sqrt((low - point).max(point - high).max(0.0).square().sum()) - largest;
     }
   };
   void split(std::int32_t node);
   bool covers(const Vec3& point, double offset, std::int32_t but) const;
-  // Spheres that hide much of a sphere's skin, all grown by `offset`: of those around it, whose number does not grow with
-  // that of all.
+  // Spheres that hide much of a sphere's skin, all grown by `offset`: of those around it, whose number does not grow
+  // with that of all.
   std::vector<std::int32_t> hiders(std::int32_t ball, double offset) const;
   // The least that a sphere must grow by to hold the three corners, at most 0 where one does; and that sphere.
   std::pair<double, std::int32_t> least_growth(const std::array<Vec3, 3>& corners) const;

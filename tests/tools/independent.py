@@ -1,4 +1,4 @@
-"""Distances by other code than the builder's: triangles one by one, in numpy, with SciPy's k-d tree to leave some out."""
+"""Distances by other code than the builder's: triangles one by one, in numpy, and SciPy's k-d tree."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -57,7 +57,7 @@ def edge_points(vertices, faces, count, seed):
 
 
 def solid_angle_winding(points, vertices, faces):
-    """Winding number (n,) by the sum of solid angles (Van Oosterom and Strackee 1983), every triangle for every point."""
+    """Winding number (n,) by the sum of solid angles (Van Oosterom and Strackee 1983), all triangles for all points."""
     found = np.zeros(len(points))
     step = max(1, PAIRS // max(len(faces), 1))
     for first in range(0, len(points), step):

@@ -103,7 +103,7 @@ def measure(mesh, mode, leaves, parameters, error_m, seed):
         limit = parameters["protrusion_bound_mm"]
         promises = [("protrusion", out, limit, out <= limit + rounding), ("gap p99", np.quantile(gap, 0.99))]
     rows = [(*p, 1e3 * error_m, p[1] <= 1e3 * error_m) if len(p) == 2 else p for p in promises]
-    return rows + [("centres inside", float(inside.mean()), 1.0, bool(inside.all()))]
+    return [*rows, ("centres inside", float(inside.mean()), 1.0, bool(inside.all()))]
 
 
 def row(name, mode, error_mm, seed):

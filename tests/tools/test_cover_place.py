@@ -119,7 +119,9 @@ def test_the_ball_in_a_cube_leaves_gaps_that_are_worst_at_its_corners():
 
 def test_a_thin_wall_is_named_with_its_thickness():
     solid = box(np.array([0.08, 0.06, 0.001]))
-    spheres = np.array([[x, y, 0.0, 0.0012] for x in np.arange(-0.039, 0.04, 0.002) for y in np.arange(-0.029, 0.03, 0.002)])
+    spheres = np.array(
+        [[x, y, 0.0, 0.0012] for x in np.arange(-0.039, 0.04, 0.002) for y in np.arange(-0.029, 0.03, 0.002)]
+    )
     spheres = spheres[np.linalg.norm(spheres[:, :2], axis=1) > 0.01]  # a hole in the middle
     surface = unwrap(solid, 60_000)
     errors = surface_errors(solid, spheres, surface.points, surface.normals)
@@ -188,7 +190,9 @@ def test_a_fingertip_that_falls_through_is_counted():
     spheres = np.array([[x, y, z, 0.004] for x in (-0.03, 0.03) for y in (-0.03, 0.03) for z in (-0.03, 0.03)])
     directions = unit(np.random.default_rng(0).normal(size=(100_000, 3)))
     share = (directions < 5 / (4 + 7)).all(axis=1).mean()
-    assert measure_cover(box(0.07), spheres)["felt"]["inside_share"] == pytest.approx(share, abs=0.01)  # samples of both
+    assert measure_cover(box(0.07), spheres)["felt"]["inside_share"] == pytest.approx(
+        share, abs=0.01
+    )  # samples of both
 
 
 @pytest.mark.parametrize(("largest", "limit"), [(0.9, 1.0), (1.0, 1.0), (2.3, 2.5), (0.021, 0.025), (0.0, 0.001)])

@@ -66,9 +66,9 @@ def test_levels_and_the_bound_on_request(files, tmp_path):
     assert [cover["name"] for cover in found["covers"]] == ["cube level 1", "cube level 0"]
     for cover in found["covers"]:
         bound = cover["dual_bound"]
-        assert bound["error_mm"] == cover["balanced_p99_mm"] and bound["ratio"] * bound["least_spheres"] == pytest.approx(
-            cover["spheres"]
-        )
+        assert bound["error_mm"] == cover["balanced_p99_mm"] and bound["ratio"] * bound[
+            "least_spheres"
+        ] == pytest.approx(cover["spheres"])
 
 
 def test_a_mesh_alone_is_measured_against_csvs_and_says_how_it_was_closed(files, tmp_path):
@@ -81,7 +81,9 @@ def test_a_mesh_alone_is_measured_against_csvs_and_says_how_it_was_closed(files,
     with pytest.raises(PalmarError, match="E-MESH-INSIDE-OUT"):
         write_cover(str(tmp_path / "box.stl"), tmp_path / "out", units="mm", spheres_csv=csvs, csv_units="mm")
     assert not (tmp_path / "out").exists()
-    found = write_cover(str(tmp_path / "box.stl"), tmp_path / "out", units="mm", close=True, spheres_csv=csvs, csv_units="mm")
+    found = write_cover(
+        str(tmp_path / "box.stl"), tmp_path / "out", units="mm", close=True, spheres_csv=csvs, csv_units="mm"
+    )
     assert [cover["name"] for cover in found["covers"]] == ["other", "other-2"]
     assert found["mesh"]["closing"]["hausdorff_mm"] < 1e-6
     assert "The mesh was closed" in (tmp_path / "out" / "index.html").read_text()
