@@ -20,12 +20,12 @@ Array = NDArray[np.float64]
 COLOURS = "RdBu_r"  # red sticks out, blue is missing
 _SIDE = 480  # pixels of a view
 _VIEWS = {
-    "from the front": (0.5, -1.0, 0.45),
-    "from the right": (1.0, 0.5, 0.45),
-    "from above": (0.0, -1e-4, 1.0),
-    "from behind": (-0.5, 1.0, 0.45),
-    "from the left": (-1.0, -0.5, 0.45),
-    "from below": (0.0, -1e-4, -1.0),
+    "from -y": (0.5, -1.0, 0.45),
+    "from +x": (1.0, 0.5, 0.45),
+    "from +z": (0.0, -1e-4, 1.0),
+    "from +y": (-0.5, 1.0, 0.45),
+    "from -x": (-1.0, -0.5, 0.45),
+    "from -z": (0.0, -1e-4, -1.0),
 }
 _STEPS = (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)
 _STYLE: Any = {"font.family": "DejaVu Sans", "font.size": 9}
