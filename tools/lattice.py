@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from palmar.errors import PalmarError
 from palmar.model import SphereTree
 from palmar.tools.cover import union_gap
-from palmar.tools.hierarchy import levels_over
+from palmar.tools.hierarchy import bounds_over
 from palmar.tools.pack import SHAPE, Source, build_object
 from palmar.tools.solid import make_solid, sample_surface, signed_distance
 from palmar.tools.toml_file import check_keys, is_number
@@ -71,7 +71,6 @@ def lattice_object(table: dict[str, Any], where: str = "object") -> SphereTree:
     corners = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3] / MM
     leaves, vertices = _place(layout.spheres, corners, table, where)
     faces = np.asarray(mesh.tri_verts, dtype=np.int32)
-    levels, parents = levels_over(leaves)
     said = json.dumps(table, sort_keys=True)
     about = {
         "source": kind,
@@ -81,9 +80,9 @@ def lattice_object(table: dict[str, Any], where: str = "object") -> SphereTree:
         "closed": None,
         "method": "laid out by a rule",
         "parameters": numbers,
-        "levels": [*({"spheres": len(level)} for level in levels[:-1]), leaf_errors(leaves, vertices, faces)],
+        "levels": [leaf_errors(leaves, vertices, faces)],
     }
-    return SphereTree(levels, parents, vertices, faces, about)
+    return SphereTree([leaves], [bounds_over(leaves)], vertices, faces, about)
 
 
 def scene_object(table: dict[str, Any], where: str = "object") -> SphereTree:
@@ -97,9 +96,8 @@ def scene_object(table: dict[str, Any], where: str = "object") -> SphereTree:
     check_keys(where, table, ["kind", "spheres", "position_m", "turn_rad"], ["spheres"])
     tree, _ = build_object(Source("object", kind, spheres=table["spheres"]), 0, lambda text, fraction: None)
     leaves, vertices = _place(tree.leaves, tree.vertices_m, table, where)
-    levels, parents = levels_over(leaves)
-    figures = [*({"spheres": len(level)} for level in levels[:-1]), tree.about["levels"][-1]]
-    return SphereTree(levels, parents, vertices, tree.faces, {**tree.about, "levels": figures})
+    about = {**tree.about, "levels": tree.about["levels"][-1:]}
+    return SphereTree([leaves], [bounds_over(leaves)], vertices, tree.faces, about)
 
 
 def leaf_errors(leaves: Array, vertices: Array, faces: NDArray[np.int32]) -> dict[str, Any]:

@@ -18,11 +18,10 @@ from palmar.profile import fit_to_profile
 from palmar.tools.close import close_mesh, require_closed
 from palmar.tools.cover import level_errors
 from palmar.tools.default_hands import find_hand, is_default
-from palmar.tools.hierarchy import levels_over
 from palmar.tools.mesh import Mesh, read_mesh
 from palmar.tools.profile_file import read_profile
 from palmar.tools.shapes import SHAPES
-from palmar.tools.sphere_tree import MODES, build_levels
+from palmar.tools.sphere_tree import MODES, build_levels, levels_over
 from palmar.tools.spheres_csv import read_spheres_csv
 from palmar.tools.toml_file import check_keys, get_number, get_text, nearest, read_toml
 
@@ -146,7 +145,7 @@ def build_object(source: Source, seed: int, progress: Progress) -> tuple[SphereT
         error_m = None if source.error_mm is None else source.error_mm / 1000
         if source.error_mm is None and source.spheres is None:
             error_m = DEFAULT_ERROR_MM / 1000
-        levels, parents, parameters = build_levels(
+        levels, bounds, parameters = build_levels(
             mesh.vertices_m,
             mesh.faces,
             error_m=error_m,
@@ -159,7 +158,9 @@ def build_object(source: Source, seed: int, progress: Progress) -> tuple[SphereT
     else:
         leaves, csv_sha256 = read_spheres_csv(source.spheres_csv, source.csv_units)
         check_place(source.spheres_csv, leaves, mesh.vertices_m)
-        levels, parents = levels_over(leaves)
+        levels, bounds = levels_over(
+            mesh.vertices_m, mesh.faces, leaves, seed, lambda text, part: progress(text, 0.3 + 0.5 * part)
+        )
         method = "leaves as given"
         parameters = {"spheres_csv": Path(source.spheres_csv).name, "csv_sha256": csv_sha256}
     if closing:
@@ -175,7 +176,7 @@ def build_object(source: Source, seed: int, progress: Progress) -> tuple[SphereT
         "parameters": parameters,
         "levels": level_errors(levels, mesh.vertices_m, mesh.faces, seed),
     }
-    return SphereTree(levels, parents, mesh.vertices_m, mesh.faces, about), warnings
+    return SphereTree(levels, bounds, mesh.vertices_m, mesh.faces, about), warnings
 
 
 def read_solid(source: Source, seed: int, progress: Progress) -> tuple[Mesh, dict[str, Any] | None, list[str]]:

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from palmar import _runtime
 from palmar._runtime import CoverFit
 from palmar.errors import BadMesh
+from palmar.model import Bounds
 from palmar.tools.corners import cover_corners
 from palmar.tools.cover import protrusion, union_gap, weighted_quantile
-from palmar.tools.hierarchy import levels_over as levels_over
+from palmar.tools.hierarchy import bounds_over, in_tree_order
 from palmar.tools.medial import medial_balls, within
 from palmar.tools.solid import Solid, closest_points, make_solid, sample_surface, smooth_normals
 
@@ -42,6 +43,9 @@ _RESERVE = 0.012  # share kept for corners that are left at the end
 # Samples a ball, longest step in discs, rounds: many short rounds first, then ever more samples to trust.
 _PHASES = ((60, 0.4, 15), (150, 0.3, 20), (500, 0.2, 12))
 _FEW = 12
+# A level above the leaves has a share of the spheres of the one below, starts from those, and needs one phase.
+_SHRINK = 4
+_LEVEL = (150, 0.4, 14)
 _MOST_SAMPLES = 1_500_000
 _MOVES = 4  # a ball and round
 # Low and high end of what a sample may cost, in G; and how much worse a move may make it, in samples of a ball's share.
@@ -58,11 +62,13 @@ def build_levels(
     mode: str = "balanced",
     seed: int = 0,
     progress: Progress | None = None,
-) -> tuple[list[Array], list[NDArray[np.int32]], dict[str, Any]]:
-    """Levels of spheres (n_k, 4), root first and leaves last, their parents, and what was asked and reached.
+) -> tuple[list[Array], list[Bounds], dict[str, Any]]:
+    """Levels of spheres (n_k, 4), coarse to fine, the bounds over each, and what was asked and reached.
+
+    Each level above the leaves is fitted to the mesh as they are, with a quarter of the spheres of the one below.
 
     vertices_m (v, 3), faces (f, 3): closed, outward, in metres. Exactly one of error_m and spheres (the least error
-    with at most so many leaves). mode "balanced": least error both ways; within error_m, protrusion is at most that
+    with at most so many leaves). mode, of every level: "balanced": least error both ways; within error_m, protrusion is at most that
     anywhere and gap at the 99th percentile. "inside": no protrusion beyond 1 um; gap at the 99th percentile within
     error_m. "outside": no point of the surface uncovered; protrusion at the 99th percentile within error_m.
     progress(text, fraction) is told what goes on. Same input and seed, same bytes.
@@ -82,14 +88,51 @@ def build_levels(
             raise BadMesh("E-MESH-SPHERES", "spheres", f"{spheres} spheres; 1 to {CAP} are possible")
         balls = _within_count(solid, spheres, mode, seed, tell)
 
-    tell("tree", 0.95)
     leaves, parameters = _finish(solid, balls, mode, seed)
-    levels, parents = levels_over(leaves)
-    order = np.argsort(parents[-1], kind="stable")  # children of one parent side by side
-    levels[-1], parents[-1] = leaves[order], parents[-1][order]
-    tell("tree", 1.0)
+    levels = [*_levels_above(solid, balls, mode, seed, tell), leaves]
+    tell("search trees", 0.97)
+    ordered = [in_tree_order(level) for level in levels]
+    tell("done", 1.0)
     asked: dict[str, Any] = {"error_mm": error_m * 1e3} if error_m is not None else {"spheres": spheres}
-    return levels, parents, {**asked, "mode": mode, "seed": seed, **parameters}
+    about = {**asked, "mode": mode, "seed": seed, **parameters}
+    return [level for level, _ in ordered], [bounds for _, bounds in ordered], about
+
+
+def levels_over(
+    vertices_m: Array, faces: NDArray[np.integer], leaves: Array, seed: int = 0, progress: Progress | None = None
+) -> tuple[list[Array], list[Bounds]]:
+    """Levels as of `build_levels` and their bounds for leaves (n, 4) from elsewhere, which stay as they are.
+
+    Raises BadMesh.
+    """
+    solid = make_solid(vertices_m, faces)
+    above = _levels_above(solid, within(solid, leaves), "balanced", seed, progress or (lambda text, fraction: None))
+    levels = [*above, leaves]
+    return levels, [bounds_over(level) for level in levels]
+
+
+def _levels_above(solid: Solid, balls: Array, mode: str, seed: int, tell: Progress) -> list[Array]:
+    """Levels of spheres (n_k, 4), coarse to fine, each with a quarter of the next one's count and the least error found.
+
+    balls (n, 4): centres inside the solid, those of the level below.
+    """
+    levels: list[Array] = []
+    density, step, rounds = _LEVEL
+    budget = 0.0
+    while len(balls) > 1:
+        tell("levels", 0.95)
+        count = -(-len(balls) // _SHRINK)
+        fit = _make_fit(solid, max(min(density * count, _MOST_SAMPLES), 6_000), seed + 40 + len(levels))
+        budget = _SHRINK * budget or _budget_for(solid, balls, count)
+        fit.set_budget(_LOW * budget, _HIGH * budget)
+        fit.set_balls(solid.triangles, balls)
+        fit.remove(len(balls) - count)
+        budget = _improve(fit, count, budget, mode, (density, step, rounds), 2 * _FINEST * solid.size)
+        balls = within(solid, fit.balls())
+        if not len(balls):
+            break
+        levels.insert(0, _finish(solid, balls, mode, seed)[0])
+    return levels
 
 
 def _finish(solid: Solid, balls: Array, mode: str, seed: int) -> tuple[Array, dict[str, float]]:
@@ -124,11 +167,7 @@ def _within_count(solid: Solid, count: int, mode: str, seed: int, tell: Progress
     """Centres and inside distances (n, 4), n <= count, with the least G found."""
     finest = 2 * _FINEST * solid.size
     balls = _candidates(solid, count, seed)
-    low, high = finest, 2 * solid.size
-    for _ in range(40):
-        middle = np.sqrt(low * high)
-        low, high = (middle, high) if _expected_count(solid, balls, middle) > count else (low, middle)
-    budget = 1.3 * high
+    budget = _budget_for(solid, balls, count)
     balls = _spread(balls, count, budget, seed)
     corners, total = np.empty((0, 4)), count
     for phase, (density, step, rounds) in enumerate(_phases(count)):
@@ -139,16 +178,15 @@ def _within_count(solid: Solid, count: int, mode: str, seed: int, tell: Progress
         fit.set_budget(_LOW * budget, _HIGH * budget)
         fit.set_balls(solid.triangles, np.concatenate([corners, balls]), len(corners))
         fit.remove(len(corners) + len(balls) - count)
-        for turn in range(rounds):
-            tell("improve", 0.1 + 0.8 * (phase + turn / rounds) / len(_PHASES))
-            fit.exchange(count // 2, 6)
-            fit.add(count - len(fit.balls()), 6)
-            fit.polish(step, _MOVES, _temperature(density, turn, rounds))
-            reached = fit.quantile(MODES[mode])
-            budget = max(1.02 * reached if reached < 0.999 * _HIGH * budget else _HIGH * budget, finest)
-            fit.set_budget(_LOW * budget, _HIGH * budget)
-        if budget == finest:
-            fit.remove_useless()
+        budget = _improve(
+            fit,
+            count,
+            budget,
+            mode,
+            (density, step, rounds),
+            finest,
+            lambda part, phase=phase: tell("improve", 0.1 + 0.8 * (phase + part) / len(_PHASES)),  # type: ignore[misc]
+        )
         balls = fit.balls()
         if phase == len(_PHASES) - 1:
             # What moved away from corners since; and what is left of the reserve where most is bare.
@@ -158,6 +196,30 @@ def _within_count(solid: Solid, count: int, mode: str, seed: int, tell: Progress
             balls = fit.balls()
         del fit  # before the next takes its memory
     return within(solid, balls)
+
+
+def _improve(
+    fit: CoverFit,
+    count: int,
+    budget: float,
+    mode: str,
+    phase: tuple[int, float, int],
+    finest: float,
+    tell: Callable[[float], None] = lambda part: None,
+) -> float:
+    """Rounds of exchange and polish for `count` balls, while the budget follows the G that is reached; returns it."""
+    density, step, rounds = phase
+    for turn in range(rounds):
+        tell(turn / rounds)
+        fit.exchange(count // 2, 6)
+        fit.add(count - len(fit.balls()), 6)
+        fit.polish(step, _MOVES, _temperature(density, turn, rounds))
+        reached = fit.quantile(MODES[mode])
+        budget = max(1.02 * reached if reached < 0.999 * _HIGH * budget else _HIGH * budget, finest)
+        fit.set_budget(_LOW * budget, _HIGH * budget)
+    if budget == finest:
+        fit.remove_useless()
+    return budget
 
 
 def _within_error(solid: Solid, error: float, mode: str, seed: int, tell: Progress) -> Array:
@@ -263,6 +325,15 @@ def _spread(balls: Array, count: int, budget: float, seed: int) -> Array:
         len(balls), min(count, len(balls)), replace=False, p=weight / weight.sum()
     )
     return balls[picked]
+
+
+def _budget_for(solid: Solid, balls: Array, count: int) -> float:
+    """G that so many balls are expected to reach, with room."""
+    low, high = 2 * _FINEST * solid.size, 2 * solid.size
+    for _ in range(40):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if _expected_count(solid, balls, middle) > count else (low, middle)
+    return float(1.3 * high)
 
 
 def _expected_count(solid: Solid, balls: Array, budget: float) -> float:

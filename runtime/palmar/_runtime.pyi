@@ -85,6 +85,13 @@ def radii_to_cover(spheres: np.ndarray, vertices: np.ndarray, faces: np.ndarray,
     `finest`.
     """
 
+def bound_tree(spheres: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Balls over spheres (n, 4), each with at most 8 children and containing them in float64 and float32.
+
+    Few of them are met by a ball of radius `reach`. Returns an order (n,) of the spheres in which branches stand
+    together, and in that order the ball that holds each (n,); the balls (m, 4), root first, and the parent of each (m,).
+    """
+
 class TriangleTree:
     """Exact distances to a mesh: vertices (v, 3) and faces (f, 3), int64."""
 

@@ -18,7 +18,7 @@ from palmar.skin import LINKS, HandMesh
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 JOINTS = ("MCP", "PIP", "DIP")
-PACK_SCHEMA = "palmar.pack/1"
+PACK_SCHEMA = "palmar.pack/2"
 
 Array = NDArray[np.float64]
 
@@ -79,11 +79,20 @@ HAND_MESH: dict[str, tuple[tuple[int | None, ...], str]] = {
 
 
 @dataclass(frozen=True)
+class Bounds:
+    """Balls over the spheres of one level, for search. Each contains what stands below it, in float64 and float32."""
+
+    balls_m: Array  # (m, 4): root first, siblings side by side
+    parent: NDArray[np.int32]  # (m,): ball that contains this one; -1 of the root
+    sphere_parent: NDArray[np.int32]  # (n,): ball that contains this sphere of the level
+
+
+@dataclass(frozen=True)
 class SphereTree:
-    """One body as levels of spheres, coarse to fine; the last level, the leaves, is the collision shape."""
+    """One body as levels of spheres, coarse to fine, each a shape of its own; the last, the leaves, is the finest."""
 
     levels: list[Array]  # each (n_k, 4): x, y, z, radius in metres
-    parents: list[NDArray[np.int32]]  # each (n_k,): index into the level above; -1 on level 0
+    bounds: list[Bounds]  # over each level
     vertices_m: Array  # (v, 3) the true mesh
     faces: NDArray[np.int32]  # (f, 3)
     about: dict[str, Any] = field(default_factory=dict)  # source, sha256, parameters, errors of each level
@@ -118,9 +127,12 @@ def save_pack(path: str | Path, pack: AssetPack) -> str:
         if pack.hand.mesh is not None:
             tensors[f"hand/mesh/{name}"] = np.ascontiguousarray(getattr(pack.hand.mesh, name), dtype=dtype)
     for name, tree in pack.objects.items():
-        for k, (spheres, parent) in enumerate(zip(tree.levels, tree.parents, strict=True)):
-            tensors[f"object/{name}/level_{k}/spheres_m"] = np.ascontiguousarray(spheres, dtype=np.float64)
-            tensors[f"object/{name}/level_{k}/parent"] = np.ascontiguousarray(parent, dtype=np.int32)
+        for k, (spheres, bounds) in enumerate(zip(tree.levels, tree.bounds, strict=True)):
+            level = f"object/{name}/level_{k}"
+            tensors[f"{level}/spheres_m"] = np.ascontiguousarray(spheres, dtype=np.float64)
+            tensors[f"{level}/parent"] = np.ascontiguousarray(bounds.sphere_parent, dtype=np.int32)
+            tensors[f"{level}/bounds_m"] = np.ascontiguousarray(bounds.balls_m, dtype=np.float64)
+            tensors[f"{level}/bounds_parent"] = np.ascontiguousarray(bounds.parent, dtype=np.int32)
         tensors[f"object/{name}/vertices_m"] = np.ascontiguousarray(tree.vertices_m, dtype=np.float64)
         tensors[f"object/{name}/faces"] = np.ascontiguousarray(tree.faces, dtype=np.int32)
     manifest = dict(pack.manifest)
@@ -167,7 +179,10 @@ def load_pack(path: str | Path) -> AssetPack:
         count = len(about["levels"])
         objects[name] = SphereTree(
             levels=[tensors[f"object/{name}/level_{k}/spheres_m"] for k in range(count)],
-            parents=[tensors[f"object/{name}/level_{k}/parent"] for k in range(count)],
+            bounds=[
+                Bounds(*(tensors[f"object/{name}/level_{k}/{part}"] for part in ("bounds_m", "bounds_parent", "parent")))
+                for k in range(count)
+            ],
             vertices_m=tensors[f"object/{name}/vertices_m"],
             faces=tensors[f"object/{name}/faces"],
             about=about,
@@ -203,6 +218,8 @@ def _check(where: str, tensors: dict[str, NDArray[Any]], manifest: dict[str, Any
         for k in range(len(about["levels"])):
             expected[f"object/{name}/level_{k}/spheres_m"] = ((None, 4), "float64")
             expected[f"object/{name}/level_{k}/parent"] = ((None,), "int32")
+            expected[f"object/{name}/level_{k}/bounds_m"] = ((None, 4), "float64")
+            expected[f"object/{name}/level_{k}/bounds_parent"] = ((None,), "int32")
         expected[f"object/{name}/vertices_m"] = ((None, 3), "float64")
         expected[f"object/{name}/faces"] = ((None, 3), "int32")
     for name in MAY_BE_MISSING - tensors.keys():

@@ -102,8 +102,8 @@ File open_file(const std::string& path) {
   if (!file.manifest.is_object()) fail("E-PACK-FORMAT", path, "no manifest under the metadata key `palmar`");
   const auto named = file.manifest.find("schema");
   const std::string schema = named != file.manifest.end() && named->is_string() ? named->get<std::string>() : "";
-  if (schema != "palmar.pack/1")
-    fail("E-PACK-VERSION", path, "schema '" + schema + "'; this version reads 'palmar.pack/1'");
+  if (schema != "palmar.pack/2")
+    fail("E-PACK-VERSION", path, "schema '" + schema + "'; this version reads 'palmar.pack/2'");
   return file;
 }
 

@@ -5,6 +5,7 @@
 
 #include <memory>
 
+#include "bound_tree.h"
 #include "cover_fit.h"
 #include "sphere_union.h"
 
@@ -96,6 +97,20 @@ nb::object radii_to_cover(const Rows4& spheres, const Rows3& vertices, const Fac
   return to_array(radii, {radii.size()});
 }
 
+nb::tuple bound_tree_of(const Rows4& rows, double reach) {
+  std::vector<Sphere> spheres(rows.shape(0));
+  for (std::size_t k = 0; k < spheres.size(); ++k)
+    spheres[k] = {Vec3(rows(k, 0), rows(k, 1), rows(k, 2)), rows(k, 3)};
+  const BoundTree tree = bound_tree(spheres, reach);
+  std::vector<double> bounds;
+  for (const Sphere& bound : tree.bounds)
+    bounds.insert(bounds.end(), {bound.center.x(), bound.center.y(), bound.center.z(), bound.radius});
+  return nb::make_tuple(to_array(tree.order, {tree.order.size()}),
+                        to_array(tree.sphere_parent, {tree.sphere_parent.size()}),
+                        to_array(bounds, {tree.bounds.size(), 4}),
+                        to_array(tree.bound_parent, {tree.bound_parent.size()}));
+}
+
 nb::object shoot_all(const TriangleTree& tree, const Rows3& points, const Rows3& inward, const Numbers& faces,
                      double slack, double start) {
   std::vector<InsideBall> balls;
@@ -126,6 +141,7 @@ void bind_tools(nb::module_& m) {
   m.def("union_exits", &union_exits, "spheres"_a, "points"_a, "directions"_a);
   m.def("union_skin", &union_skin, "spheres"_a, "offset"_a, "spacing"_a, "seed"_a);
   m.def("radii_to_cover", &radii_to_cover, "spheres"_a, "vertices"_a, "faces"_a, "finest"_a);
+  m.def("bound_tree", &bound_tree_of, "spheres"_a, "reach"_a);
   nb::class_<TriangleTree>(m, "TriangleTree")
       .def(nb::new_([](const Rows3& vertices, const Faces& faces) {
              return std::make_unique<TriangleTree>(to_points(vertices), to_corners(faces));

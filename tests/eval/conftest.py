@@ -7,6 +7,7 @@ import pytest
 
 from palmar.model import AssetPack, HandModel, SphereTree
 from palmar.records import Run
+from palmar.tools.hierarchy import bounds_over
 
 # A box from -20 to 20 mm: faces outward.
 BOX = 0.02 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
@@ -50,7 +51,7 @@ def make_pack(hand):
             "normal_error_deg": {"median": 3.0, "p95": 9.0},
         }
         about = {"levels": [figures], "parameters": {"error_mm": 0.5}} | (about or {})
-        tree = SphereTree([leaves], [np.full(len(leaves), -1, dtype=np.int32)], np.asarray(vertices), faces, about)
+        tree = SphereTree([leaves], [bounds_over(leaves)], np.asarray(vertices), faces, about)
         return AssetPack(hand, {"thing": tree}, {})
 
     return make

@@ -25,6 +25,7 @@ from palmar.eval.report import check_folder, run_names, write_folder
 from palmar.eval.view3d import MOST_FRAMES, frame_steps, three_js
 from palmar.model import AssetPack, HandModel, SphereTree
 from palmar.records import Run
+from palmar.tools.hierarchy import bounds_over
 
 
 def made_hand() -> HandModel:
@@ -63,14 +64,15 @@ def made_pack() -> AssetPack:
     box = trimesh.creation.box((0.06, 0.04, 0.04))
     grid = np.stack(np.meshgrid([-0.02, -0.01, 0.0, 0.01, 0.02, 0.0], [-0.01, 0.01], [-0.01, 0.01]), axis=-1)
     leaves = np.column_stack([grid.reshape(-1, 3), np.full(24, 0.0125)])
+    coarse = np.array([[0.0, 0, 0, 0.05]])
     tree = SphereTree(
-        levels=[np.array([[0.0, 0, 0, 0.05]]), leaves],
-        parents=[np.array([-1], dtype=np.int32), np.zeros(24, dtype=np.int32)],
+        levels=[coarse, leaves],
+        bounds=[bounds_over(coarse), bounds_over(leaves)],
         vertices_m=np.asarray(box.vertices),
         faces=np.asarray(box.faces, dtype=np.int32),
         about={"source": "box", "levels": [{"spheres": 1}, {"spheres": 24}]},
     )
-    return AssetPack(made_hand(), {"box": tree}, {"schema": "palmar.pack/1"}, sha256="0" * 64)
+    return AssetPack(made_hand(), {"box": tree}, {"schema": "palmar.pack/2"}, sha256="0" * 64)
 
 
 def made_run(steps: int = 2000, rate_hz: float = 1000.0) -> Run:

@@ -83,14 +83,13 @@ def test_a_pack_holds_what_was_built(built):
     )
 
 
-def test_levels_in_the_pack_are_a_tree(built):
+def test_levels_in_the_pack_have_bounds(built):
     tree = load_pack(built[0]).objects["box"]
     assert [level["spheres"] for level in tree.about["levels"]] == [len(level) for level in tree.levels]
-    assert len(tree.levels) > 1 and (tree.parents[0] == -1).all()
-    for child, parent, index in zip(tree.levels[1:], tree.levels, tree.parents[1:], strict=False):
-        apart = np.linalg.norm(child[:, :3] - parent[index, :3], axis=1)
-        # 1e-12 m: rounding of a distance of some centimetres is 1e-17.
-        assert (apart + child[:, 3] <= parent[index, 3] + 1e-12).all()
+    assert len(tree.levels) > 1
+    for spheres, bounds in zip(tree.levels, tree.bounds, strict=True):
+        holder = bounds.balls_m[bounds.sphere_parent]
+        assert (np.linalg.norm(spheres[:, :3] - holder[:, :3], axis=1) + spheres[:, 3] <= holder[:, 3]).all()
 
 
 def test_progress_only_grows(built):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from palmar.model import HandModel, SphereTree
+from palmar.tools.hierarchy import bounds_over
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 
@@ -58,6 +59,6 @@ def trees() -> dict[str, SphereTree]:
         "marble": np.array([[0.3, -0.2, 0.1, 0.003]]),
     }
     return {
-        name: SphereTree([s], [np.full(len(s), -1, dtype=np.int32)], s[:, :3], np.zeros((0, 3), dtype=np.int32))
+        name: SphereTree([s], [bounds_over(s)], s[:, :3], np.zeros((0, 3), dtype=np.int32))
         for name, s in spheres.items()
     }
