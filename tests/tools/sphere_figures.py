@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from palmar.tools.cover import level_errors
+from palmar.tools.cover import exposed_skin, level_errors
 from palmar.tools.dual_bound import least_spheres
+from palmar.tools.hierarchy import search
 from palmar.tools.mesh import read_mesh
 from palmar.tools.sphere_tree import MODES, build_levels
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
-FINGERTIP_M = 0.007
+FINGERTIP_M, PROBES = 0.007, 10_000
 # Object: aimed at with 500 leaves in mm, leaves of the finer level, aimed at there.
 AIMS = {
     "bunny": (0.21, 2896, 0.062),
@@ -33,35 +34,49 @@ AIMS = {
 }
 
 
-def nodes_visited(levels, parents, count, seed):
-    """Mean nodes whose ball a fingertip meets, from the root down, at random places where it touches a leaf."""
+def fingertip_search(spheres, bounds, seed):
+    """Mean visits (see `search`) of a fingertip that touches somewhere, by area; and contacts lost of 10,000 probes.
+
+    A probe: a fingertip that rests on the union, up to 2 mm deep; asked for what lies within 0.5 mm.
+    """
+    area = 4 * np.pi * (np.ptp(spheres[:, :3], axis=0).max() / 2 + FINGERTIP_M) ** 2
+    owner, direction, angle = exposed_skin(spheres, FINGERTIP_M, np.sqrt(area / 40_000), seed)
     rng = np.random.default_rng(seed)
-    leaves = levels[-1]
-    direction = rng.normal(size=(count, 3))
-    direction /= np.linalg.norm(direction, axis=1)[:, None]
-    chosen = leaves[rng.integers(len(leaves), size=count)]
-    centre = chosen[:, :3] + (chosen[:, 3:] + FINGERTIP_M) * direction
-    deepest = np.full(count, np.inf)
-    for leaf in leaves:
-        deepest = np.minimum(deepest, np.linalg.norm(centre - leaf[:3], axis=1) - leaf[3])
-    centre = centre[deepest > FINGERTIP_M - 1e-9]  # not inside the object
-    asked = np.ones((len(centre), 1), dtype=bool)
-    visited = np.ones(len(centre))
-    for level, parent in zip(levels[1:], parents[1:], strict=True):
-        asked = asked[:, parent]
-        visited += asked.sum(axis=1)
-        distance = np.linalg.norm(centre[:, None] - level[None, :, :3], axis=2) - level[:, 3]
-        asked = asked & (distance <= FINGERTIP_M + 5e-4)
-    return float(visited.mean())
+    weight = angle * (spheres[owner, 3] + FINGERTIP_M) ** 2
+    probe = rng.choice(len(owner), PROBES, p=weight / weight.sum())
+    owner, direction = owner[probe], direction[probe]
+    rest = spheres[owner, :3] + (spheres[owner, 3:] + FINGERTIP_M) * direction
+    _, _, visits = search(spheres, bounds, rest, FINGERTIP_M + 5e-4)
+    deep = rest - rng.uniform(0, 2e-3, PROBES)[:, None] * direction
+    query, sphere, _ = search(spheres, bounds, deep, FINGERTIP_M + 5e-4)
+    found = np.zeros(len(spheres), dtype=bool)
+    order = np.argsort(query, kind="stable")
+    parts = np.split(sphere[order], np.cumsum(np.bincount(query, minlength=PROBES))[:-1])
+    lost = 0
+    for centre, part in zip(deep, parts, strict=True):
+        offset = spheres[:, :3] - centre
+        touched = np.sqrt((offset * offset).sum(axis=1)) <= spheres[:, 3] + FINGERTIP_M
+        found[:] = False
+        found[part] = True
+        lost += int((touched & ~found).sum())
+    return float(visits.mean()), lost
 
 
-def row(path, wanted, mode, seed, bound):
+def print_levels(name, errors):
+    for error in errors:
+        gap, out = error["gap_mm"], error["protrusion_mm"]
+        balanced, felt = (gap["p99"] + out["p99"]) / 2, error["normal_error_deg"]["p95"]
+        print(f"{name}: {error['spheres']:>6} spheres, balanced {balanced:.4g}, out max {out['max']:.4g}, felt {felt:.3g}")
+
+
+def row(path, wanted, mode, seed, bound, each_level):
     mesh = read_mesh(path, **({"units": "mm"} if path.parent.name == "spheres_objects" else {"size_mm": 90.0}))
     wall, cpu = time.perf_counter(), time.process_time()
-    levels, parents, parameters = build_levels(mesh.vertices_m, mesh.faces, mode=mode, seed=seed, **wanted)
+    levels, bounds, parameters = build_levels(mesh.vertices_m, mesh.faces, mode=mode, seed=seed, **wanted)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     leaves = levels[-1]
+    visits, lost = fingertip_search(leaves, bounds[-1], seed)
     (error,) = level_errors([leaves], mesh.vertices_m, mesh.faces, seed + 90)
     gap, out = error["gap_mm"], error["protrusion_mm"]
     figures = {
@@ -73,11 +88,14 @@ def row(path, wanted, mode, seed, bound):
         "out max": out["max"],
         "bound": parameters["protrusion_bound_mm"],
         "felt p95": error["normal_error_deg"]["p95"],
-        "nodes": nodes_visited(levels, parents, 300, seed) if len(leaves) <= 20_000 else float("nan"),
+        "visits": visits,
+        "lost": lost,
         "cpu s": cpu,
         "wall s": wall,
         "peak MB": peak,
     }
+    if each_level:
+        print_levels(path.stem, level_errors(levels, mesh.vertices_m, mesh.faces, seed + 90))
     if bound and wanted["error_m"]:
         figures["/ bound"] = len(leaves) / least_spheres(mesh.vertices_m, mesh.faces, wanted["error_m"], leaves, seed)
     return figures
@@ -90,6 +108,7 @@ def main():
     parser.add_argument("--fine", action="store_true", help="the leaves of the finer level of each object")
     parser.add_argument("--error-mm", type=float)
     parser.add_argument("--bound", action="store_true", help="with --error-mm: leaves against the dual bound")
+    parser.add_argument("--levels", action="store_true", help="a line for each level too")
     parser.add_argument("--mode", default="balanced", choices=list(MODES))
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
@@ -105,7 +124,7 @@ def main():
         if given.error_mm:
             wanted, aim = {"error_m": given.error_mm * 1e-3, "spheres": None}, None
         with context.Pool(1) as pool:
-            figures = pool.apply(row, (path, wanted, given.mode, given.seed, given.bound))
+            figures = pool.apply(row, (path, wanted, given.mode, given.seed, given.bound, given.levels))
         if head is None:
             head = list(figures)
             print(f"{'object':<18}{'aim':>8}" + "".join(f"{title:>10}" for title in head))

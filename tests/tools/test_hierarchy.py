@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from palmar.tools.cover import exposed_skin
-from palmar.tools.hierarchy import bounds_over, in_tree_order
+from palmar.tools.hierarchy import bounds_over, in_tree_order, search
 
 FINGERTIP_M = 0.007
 
@@ -19,20 +19,6 @@ def assert_contained(spheres, bounds):
         for child, parent in ((balls[1:], bounds.parent[1:]), (spheres.astype(kind), bounds.sphere_parent)):
             reach = np.linalg.norm(child[:, :3] - balls[parent, :3], axis=1) + child[:, 3]
             assert (reach <= balls[parent, 3]).all()
-
-
-def descend(spheres, bounds, centres, radius):
-    """Which spheres (q, n) a search with balls of this radius finds, and how many balls and spheres it tests (q,)."""
-    centres, balls = centres.astype(np.float32), bounds.balls_m.astype(np.float32)
-    met = np.zeros((len(centres), len(balls)), dtype=bool)
-    tested = np.ones(len(centres))
-    for k, (ball, parent) in enumerate(zip(balls, bounds.parent, strict=True)):
-        asked = met[:, parent] if parent >= 0 else np.ones(len(centres), dtype=bool)
-        tested += asked if parent >= 0 else 0
-        met[:, k] = asked & (np.linalg.norm(centres - ball[:3], axis=1) <= ball[3] + np.float32(radius))
-    asked = met[:, bounds.sphere_parent]
-    near = np.linalg.norm(centres[:, None] - spheres[None, :, :3].astype(np.float32), axis=2)
-    return asked & (near <= spheres[:, 3].astype(np.float32) + np.float32(radius)), tested + asked.sum(axis=1)
 
 
 @pytest.mark.parametrize("count", [1, 2, 8, 9, 65, 700, 25_000])
@@ -65,10 +51,13 @@ def test_search_loses_no_contact_and_tests_few():
     spheres, bounds = in_tree_order(spheres)
     owner, direction, _ = exposed_skin(spheres, FINGERTIP_M, 0.002, 1)
     centres = spheres[owner, :3] + (spheres[owner, 3:] + FINGERTIP_M - 1e-4) * direction
-    found, tested = descend(spheres, bounds, centres, FINGERTIP_M)
+    query, sphere, visits = search(spheres, bounds, centres, FINGERTIP_M)
+    found = np.zeros((len(centres), len(spheres)), dtype=bool)
+    found[query, sphere] = True
     near = np.linalg.norm(centres[:, None] - spheres[None, :, :3], axis=2)
     assert found[near <= spheres[:, 3] + FINGERTIP_M - 1e-7].all()  # 1e-7 m: floats of some centimetres
-    assert tested.mean() < 60  # of 484; even groups of eight, without a choice of groups, test 90
+    assert not found[near > spheres[:, 3] + FINGERTIP_M + 1e-7].any()
+    assert visits.mean() < 60  # of 484; even groups of eight, without a choice of groups, test 90
 
 
 def test_rows_of_the_tree_order_are_neighbours():
