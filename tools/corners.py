@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from palmar.tools.cover import union_gap
 from palmar.tools.medial import inside_balls, medial_balls, merged_indices
 from palmar.tools.set_cover import cover_greedily, find_incidence
-from palmar.tools.solid import Solid, sample_surface
+from palmar.tools.solid import Solid
+from palmar.tools.target import Target
 
 Array = NDArray[np.float64]
 
@@ -16,22 +18,25 @@ _SHARP_DEG = 30.0
 _MOST_POINTS = 60_000
 
 
-def cover_corners(solid: Solid, balls: Array, limit: float, seed: int, most: int) -> Array:
+def cover_corners(target: Target, balls: Array, limit: float, excess: float, seed: int, most: int) -> Array:
     """At most `most` further balls (k, 4), so that no surface point, edge or corner is left with g above the limit.
 
-    balls (n, 4): centres and inside distances that are there already; g as in `sphere_tree`. Spikes that no ball
+    balls (n, 4): centres and inside distances that are there already; g and excess as in `target`. Spikes that no ball
     within the limit can reach stay as they are.
     """
-    points, face = sample_surface(solid, _MOST_POINTS, seed)
+    solid = target.solid
+    points, face, zone = target.sample(_MOST_POINTS, seed)
     edges, inwards = _sharp_edges(solid, limit / 2)
-    bare = union_gap(balls, points) > limit
-    bare_edge = union_gap(balls, edges) > limit if len(edges) else np.zeros(0, dtype=bool)
-    targets = np.concatenate([points[bare], edges[bare_edge]])
-    if not len(targets) or most <= 0:
+    edge_zone = target.regions.zone_of(edges)
+    held = target.held(balls, excess)
+    bare = target.gaps(held, points, zone, excess) > limit
+    bare_edge = target.gaps(held, edges, edge_zone, excess) > limit if len(edges) else np.zeros(0, dtype=bool)
+    places = np.concatenate([points[bare], edges[bare_edge]])
+    if not len(places) or most <= 0:
         return np.empty((0, 4))
     # Down the bisector of an edge or corner the reach of a ball grows with its size: a few sizes around the limit do.
     away = np.concatenate([-solid.normals[face[bare]], inwards[bare_edge]])
-    along = np.concatenate([targets + step * limit * away for step in (0.5, 1, 2, 3, 4, 6)])
+    along = np.concatenate([places + step * limit * away for step in (0.5, 1, 2, 3, 4, 6)])
     tried = [inside_balls(solid, along)]
     if bare.any():
         tried.append(medial_balls(solid, points[bare], face[bare], 0.1 * limit))
@@ -39,7 +44,9 @@ def cover_corners(solid: Solid, balls: Array, limit: float, seed: int, most: int
     candidates = candidates[merged_indices(candidates, limit)]
     if not len(candidates):
         return np.empty((0, 4))
-    pairs = find_incidence(candidates, targets, limit)
+    pairs = find_incidence(target.held(candidates, excess), places, limit)
+    stricter = target.stricter(np.concatenate([zone[bare], edge_zone[bare_edge]]))[pairs.sample]
+    pairs = replace(pairs, gap=pairs.gap + ((pairs.gap - excess) * stricter).astype(np.float32)).within(limit)
     return candidates[cover_greedily(pairs, [], 0, most)]
 
 

@@ -82,10 +82,15 @@ def make_solid(vertices: Array, faces: NDArray[np.integer]) -> Solid:
 
 def sample_surface(solid: Solid, count: int, seed: int) -> tuple[Array, NDArray[np.int64]]:
     """Area-uniform, evenly spread points on the surface: (count, 3), and the face (count,) of each."""
+    return sample_triangles(solid.vertices[solid.faces], solid.areas, count, seed)
+
+
+def sample_triangles(corners: Array, areas: Array, count: int, seed: int) -> tuple[Array, NDArray[np.int64]]:
+    """The same for triangles by their corners (t, 3, 3) and areas (t,)."""
     rng = np.random.default_rng(seed)
     # Systematic sampling along a space-filling order of the faces: each gets its share of points to within one.
-    order = morton_order(solid.vertices[solid.faces].mean(axis=1))
-    ends = np.cumsum(solid.areas[order])
+    order = morton_order(corners.mean(axis=1))
+    ends = np.cumsum(areas[order])
     at = (np.arange(count) + rng.random()) * (ends[-1] / count)
     slot = np.minimum(np.searchsorted(ends, at, side="right"), len(order) - 1)
     first = np.searchsorted(slot, slot, side="left")
@@ -94,7 +99,7 @@ def sample_surface(solid: Solid, count: int, seed: int) -> tuple[Array, NDArray[
     u, v = ((start[slot] + (np.arange(count) - first)[:, None] * _R2) % 1.0).T
     flip = u + v > 1
     u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-    a, b, c = (solid.vertices[solid.faces[face, k]] for k in range(3))
+    a, b, c = (corners[face, k] for k in range(3))
     return a + u[:, None] * (b - a) + v[:, None] * (c - a), face
 
 

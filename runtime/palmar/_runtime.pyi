@@ -108,19 +108,26 @@ class TriangleTree:
     def distances(self, centers: np.ndarray) -> np.ndarray:
         """The centres (n, 3) and their distance to the surface, without a sign: (n, 4)."""
 
+def held_inside(zones: list[tuple[TriangleTree, float]], balls: np.ndarray, excess: float) -> np.ndarray:
+    """What balls (n, 4), centre and inside distance, count with (n,): grown by `excess`, they stick out of no zone by
+    more than its share of that."""
+
 class CoverFit:
     """Balls (centre, inside distance) moved and exchanged until few surface samples have a gap above a budget.
 
     The gap of a sample is the least of |sample - centre| - inside over all balls; it costs 0 up to the budget's low
-    end, 1 from its high end on. Same seed, same result, for any number of threads.
+    end, 1 from its high end on. Same seed, same result, for any number of threads. zones: parts of the surface with
+    the share of the error that each allows; zone (n,): of each sample, 0 for none, k + 1 for zones[k].
     """
 
     def __init__(
         self,
         tree: TriangleTree,
+        zones: list[tuple[TriangleTree, float]],
         points: np.ndarray,
         inward: np.ndarray,
         faces: np.ndarray,
+        zone: np.ndarray,
         seed: int,
         threads: int,
     ) -> None: ...
@@ -128,9 +135,11 @@ class CoverFit:
         """Balls (n, 4), of which the first `fixed` stay where they are."""
 
     def balls(self) -> np.ndarray: ...
-    def set_budget(self, low: float, high: float) -> None: ...
+    def set_budget(self, low: float, high: float, excess: float) -> None:
+        """excess: what the balls will be grown by; a zone gets its share of it, and of what its samples may lie out."""
+
     def quantile(self, share: float) -> float:
-        """The gap that this share of the samples does not exceed, as far as it lies below the budget's high end."""
+        """The gap that this share of each zone's samples does not exceed, as far as it lies below the budget's high end."""
 
     def polish(self, step: float, moves: int, temperature: float) -> int:
         """Each ball tries `moves` places up to `step` discs away. Returns how many moved."""

@@ -37,20 +37,50 @@ std::optional<InsideBall> shoot(const TriangleTree& tree, const Vec3& point, con
       // The ball is free of surface; what lies between it and the point must be too.
       const double open = radius - distance;
       if (open > 0 && tree.crosses(point + rounding * inward, point + (open + rounding) * inward)) return {};
-      return InsideBall{center, distance, found.face};
+      return InsideBall{center, distance, found.face, distance};
     }
     radius = tangent_radius(point, inward, found.point, radius);
   }
   return {};
 }
 
-CoverFit::CoverFit(const TriangleTree& tree, const Samples& samples, std::uint64_t seed, int threads)
-    : tree_(tree), samples_(samples.points), seen_(samples.points.size()), threads_(threads), random_{seed} {
+double held_inside(const std::vector<Zone>& zones, const Vec3& center, double inside, double excess) {
+  double held = inside;
+  for (const Zone& zone : zones) {
+    const double less = (1 - zone.share) * excess;
+    held = std::min(held, std::sqrt(zone.tree->closest(center).squared) - less);
+  }
+  return held;
+}
+
+CoverFit::CoverFit(const TriangleTree& tree, std::vector<Zone> zones, const Samples& samples, std::uint64_t seed,
+                   int threads)
+    : tree_(tree),
+      zones_(std::move(zones)),
+      samples_(samples.points),
+      seen_(samples.points.size()),
+      threads_(threads),
+      random_{seed} {
   for (const std::int32_t s : samples_.order()) {
     points_.push_back(samples.points[s]);
     inward_.push_back(samples.inward[s]);
     faces_.push_back(samples.faces[s]);
+    zone_.push_back(samples.zones[s]);
+    stricter_.push_back(zone_.back() ? float(1 / zones_[zone_.back() - 1].share - 1) : 0.0f);
   }
+}
+
+std::optional<InsideBall> CoverFit::ball_at(const Vec3& center, const Closest& found) const {
+  const double inside = std::sqrt(found.squared);
+  if (inside < kSmallest * tree_.size()) return {};
+  return InsideBall{center, inside, found.face, held_inside(zones_, center, inside, excess_)};
+}
+
+std::optional<InsideBall> CoverFit::shot(const Vec3& point, const Vec3& inward, std::int32_t face, double slack,
+                                         double start) const {
+  auto ball = shoot(tree_, point, inward, face, slack, start);
+  if (ball) ball->held = held_inside(zones_, ball->center, ball->inside, excess_);
+  return ball;
 }
 
 double CoverFit::disc(const InsideBall& ball) const { return std::sqrt(2 * ball.inside * budget_ + budget_ * budget_); }
@@ -58,10 +88,12 @@ double CoverFit::disc(const InsideBall& ball) const { return std::sqrt(2 * ball.
 void CoverFit::set_balls(std::vector<InsideBall> balls, int fixed) {
   balls_ = std::move(balls);
   fixed_ = std::size_t(fixed);
-  set_budget(low_, high_);
+  set_budget(low_, high_, excess_);
 }
 
-void CoverFit::set_budget(double low, double high) {
+void CoverFit::set_budget(double low, double high, double excess) {
+  excess_ = float(excess);
+  for (InsideBall& ball : balls_) ball.held = held_inside(zones_, ball.center, ball.inside, excess_);
   low_ = low;
   high_ = high;
   budget_ = 0.5 * (low + high);
@@ -75,10 +107,10 @@ void CoverFit::set_budget(double low, double high) {
 
 void CoverFit::enter(std::int32_t index) {
   const InsideBall& ball = balls_[index];
-  const float inside = float(ball.inside);
-  samples_.within(ball.center, ball.inside + high_, [&](std::int32_t s, float distance) {
+  const float held = float(ball.held);
+  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float distance) {
     Seen& seen = seen_[s];
-    const float gap = distance - inside;
+    const float gap = gap_of(s, distance, held);
     if (!(gap < seen.gap[kKept - 1])) return;
     int at = kKept - 1;
     for (; at > 0 && gap < seen.gap[at - 1]; --at) {
@@ -92,7 +124,7 @@ void CoverFit::enter(std::int32_t index) {
 
 void CoverFit::leave(std::int32_t index) {
   const InsideBall& ball = balls_[index];
-  samples_.within(ball.center, ball.inside + high_, [&](std::int32_t s, float) {
+  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float) {
     Seen& seen = seen_[s];
     int at = 0;
     while (at < kKept && seen.ball[at] != index) ++at;
@@ -107,21 +139,25 @@ void CoverFit::leave(std::int32_t index) {
 }
 
 double CoverFit::quantile(double share) const {
-  std::vector<float> gaps;
-  gaps.reserve(seen_.size());
-  for (const Seen& seen : seen_) gaps.push_back(seen.gap[0]);
-  const auto at = gaps.begin() + std::ptrdiff_t(share * double(gaps.size() - 1));
-  std::nth_element(gaps.begin(), at, gaps.end());
-  return *at;
+  std::vector<std::vector<float>> gaps(zones_.size() + 1);
+  for (std::size_t s = 0; s < seen_.size(); ++s) gaps[zone_[s]].push_back(seen_[s].gap[0]);
+  float worst = 0;
+  for (std::vector<float>& of_zone : gaps) {
+    if (of_zone.empty()) continue;
+    const auto at = of_zone.begin() + std::ptrdiff_t(share * double(of_zone.size() - 1));
+    std::nth_element(of_zone.begin(), at, of_zone.end());
+    worst = std::max(worst, *at);
+  }
+  return worst;
 }
 
 double CoverFit::gain(const InsideBall& ball, std::int32_t without) const {
   double sum = 0;
-  const float inside = float(ball.inside);
-  samples_.within(ball.center, ball.inside + high_, [&](std::int32_t s, float distance) {
+  const float held = float(ball.held);
+  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float distance) {
     const Seen& seen = seen_[s];
     const float rest = seen.ball[0] == without ? seen.gap[1] : seen.gap[0];
-    const float gap = distance - inside;
+    const float gap = gap_of(s, distance, held);
     if (gap < rest) sum += cost_of(rest) - cost_of(gap);
   });
   return sum;
@@ -130,7 +166,7 @@ double CoverFit::gain(const InsideBall& ball, std::int32_t without) const {
 double CoverFit::loss(std::int32_t index) const {
   double sum = 0;
   const InsideBall& ball = balls_[index];
-  samples_.within(ball.center, ball.inside + high_, [&](std::int32_t s, float) {
+  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float) {
     const Seen& seen = seen_[s];
     if (seen.ball[0] == index) sum += cost_of(seen.gap[1]) - cost_of(seen.gap[0]);
   });
@@ -148,7 +184,7 @@ std::vector<double> CoverFit::losses() const {
 Vec3 CoverFit::pull(std::int32_t index) const {
   const InsideBall& ball = balls_[index];
   Vec3 sum = Vec3::Zero();
-  samples_.within(ball.center, ball.inside + high_, [&](std::int32_t s, float) {
+  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float) {
     const Seen& seen = seen_[s];
     if (seen.ball[0] == index && seen.gap[0] > low_) sum += (points_[s] - ball.center).normalized();
   });
@@ -163,11 +199,11 @@ std::optional<InsideBall> CoverFit::moved(const InsideBall& ball, const Vec3& sh
   const Closest found = tree_.closest(center, ball.face);
   const double distance = std::sqrt(found.squared);
   if (distance < kSmallest * tree_.size()) return {};
-  if (random.uniform() < 0.2) return InsideBall{center, distance, found.face};
+  if (random.uniform() < 0.2) return ball_at(center, found);
   // Up from the surface to the medial axis again, or a little past it.
   const Vec3 inward = (center - found.point) / distance;
   const double slack = random.uniform() < 0.5 ? 0.0 : kSlack * budget_ * random.uniform();
-  return shoot(tree_, found.point, inward, found.face, slack, distance + 2 * far + slack);
+  return shot(found.point, inward, found.face, slack, distance + 2 * far + slack);
 }
 
 std::optional<InsideBall> CoverFit::walk(std::int32_t index, double step, int moves, double temperature,
@@ -248,12 +284,11 @@ std::optional<InsideBall> CoverFit::best_at(std::size_t sample, int candidates, 
       // Down from an edge or a corner, where medial balls are tiny.
       const Vec3 center = from + 3 * budget_ * random.uniform() * inward;
       const Closest found = tree_.closest(center, faces_[sample]);
-      const double distance = std::sqrt(found.squared);
       const bool open = !tree_.crosses(from + kRounding * tree_.size() * inward, center);
-      if (open && distance > kSmallest * tree_.size()) judge(InsideBall{center, distance, found.face});
+      if (open) judge(ball_at(center, found));
     } else {
       const double slack = k % 2 ? kSlack * budget_ * random.uniform() : 0.0;
-      judge(shoot(tree_, from, inward, faces_[sample], slack, 0.5 * tree_.size()));
+      judge(shot(from, inward, faces_[sample], slack, 0.5 * tree_.size()));
       if (best) judge(moved(*best, random.uniform() * disc(*best) * random.in_ball(), random));
     }
   }
@@ -312,7 +347,7 @@ void CoverFit::remove(int count) {
 
 void CoverFit::remove_useless() {
   // Lists of the least gaps are short: where many balls see the same samples, the next round sees more.
-  while (take_out(int(balls_.size()), true) > int(balls_.size() / 20)) set_budget(low_, high_);
+  while (take_out(int(balls_.size()), true) > int(balls_.size() / 20)) set_budget(low_, high_, excess_);
 }
 
 int CoverFit::take_out(int count, bool useless) {

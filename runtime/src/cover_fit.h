@@ -13,12 +13,24 @@
 
 namespace palmar {
 
-// A centre inside the solid, its exact distance to the surface, and where it touches.
+// A centre inside the solid, its exact distance to the surface, and where it touches. `held`: the distance it counts
+// with, less than `inside` near a zone of the surface that allows less.
 struct InsideBall {
   Vec3 center;
   double inside;
   std::int32_t face;
+  double held;
 };
+
+// A part of the surface where only a share of the error is allowed.
+struct Zone {
+  const TriangleTree* tree;
+  double share;
+};
+
+// What a ball at a centre may count with, so that grown by `excess` it sticks out of no zone by more than the zone's
+// share of it.
+double held_inside(const std::vector<Zone>& zones, const Vec3& center, double inside, double excess);
 
 // The largest ball tangent at a surface point that the surface enters by at most `slack` (Ma, Bae, Choi 2012), shrunk
 // from the radius `start`; nothing where it would lie outside.
@@ -27,22 +39,24 @@ std::optional<InsideBall> shoot(const TriangleTree& tree, const Vec3& point, con
 
 struct Samples {
   std::vector<Vec3> points, inward;
-  std::vector<std::int32_t> faces;
+  std::vector<std::int32_t> faces, zones;  // zone: 0 of the rest, k + 1 of zone k
 };
 
-// The gap of a sample is the least of |sample - centre| - inside over all balls. It costs 0 up to the budget's low end,
+// The gap of a sample is the least of |sample - centre| - held over all balls; in a zone, what of it exceeds the excess
+// is divided by the zone's share. It costs 0 up to the budget's low end,
 // 1 from its high end on, straight between them. Every search below lowers the sum. Its result depends on the seed but
 // not on the number of threads: places are judged in blocks against one state, then taken one by one if still better.
 class CoverFit {
  public:
-  CoverFit(const TriangleTree& tree, const Samples& samples, std::uint64_t seed, int threads);
+  CoverFit(const TriangleTree& tree, std::vector<Zone> zones, const Samples& samples, std::uint64_t seed, int threads);
 
   // The first `fixed` balls stay where they are.
   void set_balls(std::vector<InsideBall> balls, int fixed);
   const std::vector<InsideBall>& balls() const { return balls_; }
-  void set_budget(double low, double high);
+  // excess: what the balls will be grown by; matters to zones alone.
+  void set_budget(double low, double high, double excess);
 
-  // The gap that `share` of the samples do not exceed, as far as it lies below the budget's high end.
+  // The gap that `share` of the samples of each zone do not exceed, as far as it lies below the budget's high end.
   double quantile(double share) const;
   // Each ball tries `moves` places up to `step` discs away, worse ones too at a temperature (in samples). Returns how
   // many balls moved.
@@ -66,7 +80,14 @@ class CoverFit {
     std::optional<InsideBall> in;
   };
   double cost_of(float gap) const { return gap <= low_ ? 0.0 : gap >= high_ ? 1.0 : (double(gap) - low_) * slope_; }
+  float gap_of(std::int32_t sample, float distance, float held) const {
+    const float gap = distance - held;
+    return gap + (gap - excess_) * stricter_[sample];
+  }
   double disc(const InsideBall& ball) const;
+  std::optional<InsideBall> ball_at(const Vec3& center, const Closest& found) const;
+  std::optional<InsideBall> shot(const Vec3& point, const Vec3& inward, std::int32_t face, double slack,
+                                 double start) const;
   int take_out(int count, bool useless);
   void enter(std::int32_t ball);
   void leave(std::int32_t ball);
@@ -81,14 +102,17 @@ class CoverFit {
   void in_parallel(std::size_t count, const std::function<void(std::size_t)>& work) const;
 
   const TriangleTree& tree_;
+  std::vector<Zone> zones_;
   PointTree samples_;
   std::vector<Vec3> points_, inward_;
-  std::vector<std::int32_t> faces_;
+  std::vector<std::int32_t> faces_, zone_;
+  std::vector<float> stricter_;  // of each sample: 1 / share - 1
   std::vector<InsideBall> balls_;
   std::size_t fixed_ = 0;
   std::vector<Seen> seen_;
   int threads_;
   double low_ = 0, high_ = 0, slope_ = 0, budget_ = 0;
+  float excess_ = 0;
   Random random_;
 };
 

@@ -1,7 +1,9 @@
 // The Python face of what the sphere trees' tools need.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/unique_ptr.h>
+#include <nanobind/stl/vector.h>
 
 #include <memory>
 
@@ -129,9 +131,25 @@ std::vector<InsideBall> to_balls(const TriangleTree& tree, const Rows& rows) {
   for (std::size_t k = 0; k < rows.shape(0); ++k) {
     const Vec3 center(rows(k, 0), rows(k, 1), rows(k, 2));
     const Closest found = tree.closest(center);
-    balls.push_back({center, std::sqrt(found.squared), found.face});
+    const double inside = std::sqrt(found.squared);
+    balls.push_back({center, inside, found.face, inside});
   }
   return balls;
+}
+
+using ZoneList = std::vector<std::pair<const TriangleTree*, double>>;
+
+std::vector<Zone> to_zones(const ZoneList& list) {
+  std::vector<Zone> zones;
+  for (const auto& [tree, share] : list) zones.push_back({tree, share});
+  return zones;
+}
+
+nb::object held_all(const ZoneList& zones, const Rows4& balls, double excess) {
+  std::vector<double> held(balls.shape(0));
+  for (std::size_t k = 0; k < held.size(); ++k)
+    held[k] = held_inside(to_zones(zones), Vec3(balls(k, 0), balls(k, 1), balls(k, 2)), balls(k, 3), excess);
+  return to_array(held, {held.size()});
 }
 
 }  // namespace
@@ -151,14 +169,19 @@ void bind_tools(nb::module_& m) {
       .def(
           "distances", [](const TriangleTree& tree, const Rows3& centers) { return to_rows(to_balls(tree, centers)); },
           "centers"_a);
+  m.def("held_inside", &held_all, "zones"_a, "balls"_a, "excess"_a);
   nb::class_<CoverFit>(m, "CoverFit")
-      .def(nb::new_([](const TriangleTree& tree, const Rows3& points, const Rows3& inward, const Numbers& faces,
-                       std::uint64_t seed, int threads) {
-             Samples samples{to_points(points), to_points(inward), {}};
-             for (std::size_t k = 0; k < faces.shape(0); ++k) samples.faces.push_back(std::int32_t(faces(k)));
-             return std::make_unique<CoverFit>(tree, samples, seed, threads);
+      .def(nb::new_([](const TriangleTree& tree, const ZoneList& zones, const Rows3& points, const Rows3& inward,
+                       const Numbers& faces, const Numbers& zone, std::uint64_t seed, int threads) {
+             Samples samples{to_points(points), to_points(inward), {}, {}};
+             for (std::size_t k = 0; k < faces.shape(0); ++k) {
+               samples.faces.push_back(std::int32_t(faces(k)));
+               samples.zones.push_back(std::int32_t(zone(k)));
+             }
+             return std::make_unique<CoverFit>(tree, to_zones(zones), samples, seed, threads);
            }),
-           "tree"_a, "points"_a, "inward"_a, "faces"_a, "seed"_a, "threads"_a, nb::keep_alive<0, 1>())
+           "tree"_a, "zones"_a, "points"_a, "inward"_a, "faces"_a, "zone"_a, "seed"_a, "threads"_a,
+           nb::keep_alive<0, 1>(), nb::keep_alive<0, 2>())
       .def(
           "set_balls",
           [](CoverFit& fit, const TriangleTree& tree, const Rows4& rows, int fixed) {
@@ -166,7 +189,7 @@ void bind_tools(nb::module_& m) {
           },
           "tree"_a, "balls"_a, "fixed"_a = 0)
       .def("balls", [](const CoverFit& fit) { return to_rows(fit.balls()); })
-      .def("set_budget", &CoverFit::set_budget, "low"_a, "high"_a)
+      .def("set_budget", &CoverFit::set_budget, "low"_a, "high"_a, "excess"_a)
       .def("quantile", &CoverFit::quantile, "share"_a)
       .def("polish", &CoverFit::polish, "step"_a, "moves"_a, "temperature"_a)
       .def("exchange", &CoverFit::exchange, "trials"_a, "candidates"_a)

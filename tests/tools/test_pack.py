@@ -13,7 +13,7 @@ from palmar.errors import PalmarError
 from palmar.model import load_pack
 from palmar.tools.close import require_closed
 from palmar.tools.hand_file import default_hand, read_hand
-from palmar.tools.hierarchy import levels_over
+from palmar.tools.hierarchy import bounds_over
 from palmar.tools.mesh import Mesh
 from palmar.tools.pack import build
 from palmar.tools.shapes import SHAPES
@@ -197,7 +197,7 @@ def test_a_toml_list_names_objects_hand_and_what_each_wants(box, tmp_path, monke
 
     def record(vertices, faces, **wants):
         wanted.append((wants["error_m"], wants["spheres"], wants["seed"]))
-        return (*levels_over(LEAVES), {})
+        return [LEAVES], [bounds_over(LEAVES)], {}
 
     monkeypatch.setattr("palmar.tools.pack.build_levels", record)
     write_csv(tmp_path / "leaves.csv", LEAVES)
