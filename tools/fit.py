@@ -22,7 +22,7 @@ Phase = tuple[float, float, int]
 CAP = 200_000
 # Finer than this share of the object's size, spheres would copy the facets of a round mesh one by one.
 _FINEST = 1e-4
-_ALLOWED = 0.975  # of the error: what the 99th percentile varies by between sets of samples
+_ALLOWED = 0.99  # of the error: what the 99th percentile varies by between sets of samples
 _WORST = 1.9  # times G: what even a corner or an edge should not exceed
 _CORNERS = 0.05  # share of a given count that may go to them
 _RESERVE = 0.012  # share kept for corners that are left at the end

@@ -20,6 +20,7 @@ from palmar.tools.cover import level_errors
 from palmar.tools.default_hands import find_hand, is_default
 from palmar.tools.mesh import Mesh, read_mesh
 from palmar.tools.profile_file import read_profile
+from palmar.tools.region import LEAST_SHARE, TOUCHED_SHARE, read_regions
 from palmar.tools.shapes import SHAPES
 from palmar.tools.sphere_tree import MODES, build_levels, levels_over
 from palmar.tools.spheres_csv import read_spheres_csv
@@ -30,7 +31,10 @@ Progress = Callable[[str, float], None]
 DEFAULT_ERROR_MM = 0.5
 SHAPE = "shape:"
 MAX_NAME = 100
-OBJECT_KEYS = ("name", "mesh", "units", "size_mm", "close", "error_mm", "spheres", "mode", "spheres_csv", "csv_units")
+OBJECT_KEYS = (
+    *("name", "mesh", "units", "size_mm", "close", "error_mm", "spheres", "mode", "spheres_csv", "csv_units"),
+    *("region", "touched", "touched_share"),
+)
 # What the content of a pack depends on.
 PACKAGES = ("palmar", "numpy", "scipy", "trimesh", "manifold3d", "libigl", "pygltflib")
 
@@ -49,6 +53,9 @@ class Source:
     spheres_csv: str | None = None  # leaves as they are
     csv_units: str = "m"
     mode: str = "balanced"  # see `build_levels`
+    region: tuple[str, ...] = ()  # CSV files and runs, see `read_regions`
+    touched: tuple[str, ...] = ()
+    touched_share: float = TOUCHED_SHARE
 
 
 def build(
@@ -61,6 +68,9 @@ def build(
     error_mm: float | None = None,
     spheres: int | None = None,
     mode: str = "balanced",
+    region: Sequence[str | Path] = (),
+    touched: Sequence[str | Path] = (),
+    touched_share: float = TOUCHED_SHARE,
     hand_path: str | Path | None = None,
     profile_path: str | Path | None = None,
     spheres_csv: str | Path | None = None,
@@ -75,7 +85,8 @@ def build(
     Raises BadMesh, BadPack or PalmarError; nothing is written then.
     """
     csv = None if spheres_csv is None else str(spheres_csv)
-    given = Source("", "", units, size_mm, close, error_mm, spheres, csv, csv_units, mode)
+    closer = (tuple(map(str, region)), tuple(map(str, touched)), touched_share)
+    given = Source("", "", units, size_mm, close, error_mm, spheres, csv, csv_units, mode, *closer)
     if not meshes:
         raise PalmarError("E-CONF", "MESH", f"nothing to build; a mesh, a TOML list or {SHAPE}NAME is needed")
     if len(meshes) == 1 and str(meshes[0]).endswith(".toml"):
@@ -105,7 +116,8 @@ def build_pack(
     for source in sources:
         _check_source(source)
         if out.exists() and any(
-            Path(path).exists() and out.samefile(path) for path in (source.mesh, source.spheres_csv or "")
+            Path(path).exists() and out.samefile(path)
+            for path in (source.mesh, source.spheres_csv or "", *source.region, *source.touched)
         ):
             raise PalmarError("E-FILE-PLACE", str(out), "is read from; give the pack another name")
     names = [source.name for source in sources]
@@ -151,6 +163,7 @@ def build_object(source: Source, seed: int, progress: Progress) -> tuple[SphereT
             error_m=error_m,
             spheres=None if source.spheres is None else int(source.spheres),
             mode=source.mode,
+            regions=read_regions(source.region, source.touched, source.touched_share),
             seed=seed,
             progress=lambda text, part: progress(text, 0.3 + 0.5 * part),
         )
@@ -206,6 +219,9 @@ def read_assets(path: str | Path, given: Source) -> tuple[list[Source], Path | N
         mesh = get_text(at, row, "mesh")
         changes: dict[str, Any] = {key: get_text(at, row, key) for key in ("units", "csv_units", "mode") if key in row}
         changes |= {key: get_number(at, row, key, 0.0, 1e6) for key in ("size_mm", "error_mm", "spheres") if key in row}
+        changes |= {key: _get_paths(at, row, key, folder) for key in ("region", "touched") if key in row}
+        if "touched_share" in row:
+            changes["touched_share"] = get_number(at, row, "touched_share", LEAST_SHARE, 1.0)
         if "spheres_csv" in row:
             changes["spheres_csv"] = str(folder / get_text(at, row, "spheres_csv"))
         if "close" in row and not isinstance(row["close"], bool):
@@ -225,6 +241,14 @@ def read_assets(path: str | Path, given: Source) -> tuple[list[Source], Path | N
     return sources, Path(hand) if is_default(hand) else folder / hand
 
 
+def _get_paths(at: str, row: dict[str, Any], key: str, folder: Path) -> tuple[str, ...]:
+    """One path or a list of them, relative to the folder."""
+    listed = row[key] if isinstance(row[key], list) else [row[key]]
+    if not all(isinstance(path, str) and path for path in listed):
+        raise BadPack("E-CONF", f"{at}.{key}", f"{row[key]!r}; a path or a list of paths is needed")
+    return tuple(str(folder / path) for path in listed)
+
+
 def _check_source(source: Source) -> None:
     wanted = {"--error-mm": source.error_mm, "--spheres": source.spheres, "--spheres-csv": source.spheres_csv}
     asked = [flag for flag, value in wanted.items() if value is not None]
@@ -236,6 +260,12 @@ def _check_source(source: Source) -> None:
         raise PalmarError("E-CONF", "--error-mm", f"{source.error_mm:g}; above 0 and up to 100 mm is allowed")
     if source.spheres is not None and not (source.spheres >= 1 and source.spheres == int(source.spheres)):
         raise PalmarError("E-CONF", "--spheres", f"{source.spheres:g}; a whole number from 1 is needed")
+    if not LEAST_SHARE <= source.touched_share <= 1:
+        found = f"{source.touched_share:g}; {LEAST_SHARE} to 1 is allowed"
+        raise PalmarError("E-CONF", "--touched-share", found)
+    if source.spheres_csv is not None and (source.region or source.touched):
+        flag = "--region" if source.region else "--touched"
+        raise PalmarError("E-CONF", flag, f"together with --spheres-csv; the spheres of {source.name} are given")
     if source.mode not in MODES:
         raise PalmarError("E-CONF", "--mode", f"{source.mode!r}; one of {', '.join(MODES)} is needed")
     name = source.name

@@ -42,6 +42,14 @@ def build(
     mode: Annotated[
         str, typer.Option(help="balanced: least error both ways; inside: nothing sticks out; outside: covers the mesh.")
     ] = "balanced",
+    region: Annotated[
+        list[Path] | None,
+        typer.Option(help="CSV of balls (x_mm, y_mm, z_mm, radius_mm, share) in which the error is to be that share."),
+    ] = None,
+    touched: Annotated[
+        list[Path] | None, typer.Option(help="Run whose contacts, 5 mm around, are to have a share of the error.")
+    ] = None,
+    touched_share: Annotated[float, typer.Option(help="The share of --touched.")] = 0.5,
     hand: HandName = None,
     profile: UserProfile = None,
     spheres_csv: Annotated[
@@ -66,6 +74,9 @@ def build(
             error_mm=error_mm,
             spheres=spheres,
             mode=mode,
+            region=region or [],
+            touched=touched or [],
+            touched_share=touched_share,
             hand_path=hand,
             profile_path=profile,
             spheres_csv=spheres_csv,
