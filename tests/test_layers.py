@@ -14,8 +14,8 @@ KNOW_ALL = ("cli_make", "cli_trace", "cli_judge", "calibrate", "importing", "dem
 LAYERS = [
     "error records algebra crc32 cdr mcap wide",
     "random triangle_tree point_tree sphere_tree hand schemas mcap_reader mcap_writer",
-    "bound_tree cover_fit sphere_union object gap qp pack_file resample channels",
-    "contacts trace_file run_file",
+    "bound_tree inside_ball sphere_union object gap qp pack_file resample channels",
+    "contacts cover_fit trace_file run_file",
     "force filter release",
     "solver",
     "baseline round",

@@ -1,4 +1,5 @@
-// A tree of balls over given spheres in which every ball contains what stands below it, few of which a small ball meets.
+// A tree of balls over given spheres in which every ball contains what stands below it, few of which a small ball
+// meets.
 #pragma once
 
 #include <cstdint>

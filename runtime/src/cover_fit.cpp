@@ -9,49 +9,11 @@ namespace palmar {
 namespace {
 
 constexpr std::int32_t kNone = -1;
-constexpr std::size_t kBlock = 48;  // places judged against one state
-constexpr double kSmallest = 1e-5;  // of the solid's size: the radius below which nothing is a ball
-constexpr double kRounding = 1e-6;  // of the solid's size
-constexpr double kSlack = 0.4;      // of the budget: what may enter a ball that passes over dents and facets
-
-// Radius of the ball behind `point` that has `other` on its skin.
-double tangent_radius(const Vec3& point, const Vec3& inward, const Vec3& other, double radius) {
-  const Vec3 chord = other - point;
-  const double depth = inward.dot(chord);
-  return depth > 0 ? std::min(chord.squaredNorm() / (2 * depth), radius) : 0.5 * radius;
-}
+constexpr std::size_t kBlock = 48;  // places judged against one state, or a share of many balls
+constexpr std::size_t kBlockShare = 64;
+constexpr double kSlack = 0.4;  // of the budget: what may enter a ball that passes over dents and facets
 
 }  // namespace
-
-std::optional<InsideBall> shoot(const TriangleTree& tree, const Vec3& point, const Vec3& inward, std::int32_t face,
-                                double slack, double start) {
-  const double rounding = kRounding * tree.size();
-  double radius = start;
-  for (int round = 0; round < 24; ++round) {
-    const Vec3 center = point + radius * inward;
-    const Closest found = tree.closest(center, face);
-    const double distance = std::sqrt(found.squared);
-    face = found.face;
-    if (distance >= radius - slack - rounding) {
-      if (distance < kSmallest * tree.size()) return {};
-      // The ball is free of surface; what lies between it and the point must be too.
-      const double open = radius - distance;
-      if (open > 0 && tree.crosses(point + rounding * inward, point + (open + rounding) * inward)) return {};
-      return InsideBall{center, distance, found.face, distance};
-    }
-    radius = tangent_radius(point, inward, found.point, radius);
-  }
-  return {};
-}
-
-double held_inside(const std::vector<Zone>& zones, const Vec3& center, double inside, double excess) {
-  double held = inside;
-  for (const Zone& zone : zones) {
-    const double less = (1 - zone.share) * excess;
-    held = std::min(held, std::sqrt(zone.tree->closest(center).squared) - less);
-  }
-  return held;
-}
 
 CoverFit::CoverFit(const TriangleTree& tree, std::vector<Zone> zones, const Samples& samples, std::uint64_t seed,
                    int threads)
@@ -72,7 +34,7 @@ CoverFit::CoverFit(const TriangleTree& tree, std::vector<Zone> zones, const Samp
 
 std::optional<InsideBall> CoverFit::ball_at(const Vec3& center, const Closest& found) const {
   const double inside = std::sqrt(found.squared);
-  if (inside < kSmallest * tree_.size()) return {};
+  if (inside < kSmallestBall * tree_.size()) return {};
   return InsideBall{center, inside, found.face, held_inside(zones_, center, inside, excess_)};
 }
 
@@ -198,7 +160,7 @@ std::optional<InsideBall> CoverFit::moved(const InsideBall& ball, const Vec3& sh
   const Vec3 center = ball.center + shift;
   const Closest found = tree_.closest(center, ball.face);
   const double distance = std::sqrt(found.squared);
-  if (distance < kSmallest * tree_.size()) return {};
+  if (distance < kSmallestBall * tree_.size()) return {};
   if (random.uniform() < 0.2) return ball_at(center, found);
   // Up from the surface to the medial axis again, or a little past it.
   const Vec3 inward = (center - found.point) / distance;
@@ -284,7 +246,7 @@ std::optional<InsideBall> CoverFit::best_at(std::size_t sample, int candidates, 
       // Down from an edge or a corner, where medial balls are tiny.
       const Vec3 center = from + 3 * budget_ * random.uniform() * inward;
       const Closest found = tree_.closest(center, faces_[sample]);
-      const bool open = !tree_.crosses(from + kRounding * tree_.size() * inward, center);
+      const bool open = !tree_.crosses(from + kSurfaceRounding * tree_.size() * inward, center);
       if (open) judge(ball_at(center, found));
     } else {
       const double slack = k % 2 ? kSlack * budget_ * random.uniform() : 0.0;
@@ -305,17 +267,18 @@ std::vector<std::int32_t> CoverFit::bare() const {
 
 int CoverFit::exchange(int trials, int candidates) {
   int taken = 0;
-  std::vector<Move> moves(kBlock);
-  for (int first = 0; first < trials && balls_.size() > fixed_; first += int(kBlock)) {
+  const std::size_t block = std::max(kBlock, balls_.size() / kBlockShare);
+  std::vector<Move> moves(block);
+  for (int first = 0; first < trials && balls_.size() > fixed_; first += int(block)) {
     const std::vector<double> lost = losses();
     std::vector<std::int32_t> order(balls_.size() - fixed_);
     std::iota(order.begin(), order.end(), std::int32_t(fixed_));
-    const std::size_t pool = std::min(order.size(), std::max(kBlock, order.size() / 10));
+    const std::size_t pool = std::min(order.size(), std::max(block, order.size() / 10));
     std::partial_sort(order.begin(), order.begin() + std::ptrdiff_t(pool), order.end(),
                       [&](std::int32_t i, std::int32_t j) { return std::pair(lost[i], i) < std::pair(lost[j], j); });
     const std::vector<std::int32_t> targets = bare();
     if (targets.empty()) break;
-    const std::size_t count = std::min(kBlock, std::size_t(trials - first));
+    const std::size_t count = std::min(block, std::size_t(trials - first));
     const std::uint64_t seed = random_.next();
     in_parallel(count, [&](std::size_t k) {
       Random random{seed + k * 0x2545f4914f6cdd1dull};
@@ -381,11 +344,12 @@ int CoverFit::take_out(int count, bool useless) {
 }
 
 int CoverFit::add(int count, int candidates) {
+  const std::size_t block = std::max(kBlock, balls_.size() / kBlockShare);
   int added = 0;
   while (added < count) {
     std::vector<std::int32_t> targets = bare();
     if (targets.empty()) break;
-    const std::size_t some = std::min<std::size_t>({std::size_t(count - added), kBlock, targets.size()});
+    const std::size_t some = std::min<std::size_t>({std::size_t(count - added), block, targets.size()});
     std::vector<Move> moves(some);
     const std::uint64_t seed = random_.next();
     in_parallel(some, [&](std::size_t k) {

@@ -101,16 +101,14 @@ nb::object radii_to_cover(const Rows4& spheres, const Rows3& vertices, const Fac
 
 nb::tuple bound_tree_of(const Rows4& rows, double reach) {
   std::vector<Sphere> spheres(rows.shape(0));
-  for (std::size_t k = 0; k < spheres.size(); ++k)
-    spheres[k] = {Vec3(rows(k, 0), rows(k, 1), rows(k, 2)), rows(k, 3)};
+  for (std::size_t k = 0; k < spheres.size(); ++k) spheres[k] = {Vec3(rows(k, 0), rows(k, 1), rows(k, 2)), rows(k, 3)};
   const BoundTree tree = bound_tree(spheres, reach);
   std::vector<double> bounds;
   for (const Sphere& bound : tree.bounds)
     bounds.insert(bounds.end(), {bound.center.x(), bound.center.y(), bound.center.z(), bound.radius});
-  return nb::make_tuple(to_array(tree.order, {tree.order.size()}),
-                        to_array(tree.sphere_parent, {tree.sphere_parent.size()}),
-                        to_array(bounds, {tree.bounds.size(), 4}),
-                        to_array(tree.bound_parent, {tree.bound_parent.size()}));
+  return nb::make_tuple(
+      to_array(tree.order, {tree.order.size()}), to_array(tree.sphere_parent, {tree.sphere_parent.size()}),
+      to_array(bounds, {tree.bounds.size(), 4}), to_array(tree.bound_parent, {tree.bound_parent.size()}));
 }
 
 nb::object shoot_all(const TriangleTree& tree, const Rows3& points, const Rows3& inward, const Numbers& faces,
