@@ -57,7 +57,11 @@ def search(
 
 
 def _met(
-    query: NDArray[np.int64], ball: NDArray[np.int64], place: NDArray[np.float32], balls: NDArray[np.float32], reach: Any
+    query: NDArray[np.int64],
+    ball: NDArray[np.int64],
+    place: NDArray[np.float32],
+    balls: NDArray[np.float32],
+    reach: Any,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     met = np.linalg.norm(place[query] - balls[ball, :3], axis=1) <= balls[ball, 3] + reach
     return query[met], ball[met]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmar.errors import BadMesh, BadPack, PalmarError
+from palmar.files import sha256_of
 from palmar.model import AssetPack, HandModel, SphereTree, save_pack
 from palmar.profile import fit_to_profile
 from palmar.tools.close import close_mesh, require_closed
@@ -168,6 +169,10 @@ def build_object(source: Source, seed: int, progress: Progress) -> tuple[SphereT
             progress=lambda text, part: progress(text, 0.3 + 0.5 * part),
         )
         method = str(parameters.pop("method", "built"))
+        if source.region or source.touched:
+            files = [Path(path) for path in (*source.region, *source.touched)]
+            parameters["region_files"] = [[path.name, sha256_of(path)] for path in files]
+            parameters["touched_share"] = source.touched_share
     else:
         leaves, csv_sha256 = read_spheres_csv(source.spheres_csv, source.csv_units)
         check_place(source.spheres_csv, leaves, mesh.vertices_m)

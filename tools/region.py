@@ -62,7 +62,9 @@ def read_regions(files: Sequence[str | Path], touched: Sequence[str | Path], tou
     regions = Regions(*(np.concatenate([part[k] for part in parts]) for k in range(2))) if parts else NO_REGIONS
     if len(regions.shares) > MOST_SHARES:
         raise BadPack(
-            "E-REGION", str((*files, *touched)[0]), f"{len(regions.shares)} different shares; up to {MOST_SHARES} are allowed"
+            "E-REGION",
+            str((*files, *touched)[0]),
+            f"{len(regions.shares)} different shares; up to {MOST_SHARES} are allowed",
         )
     return regions
 
@@ -76,7 +78,9 @@ def _read_csv(path: str | Path) -> tuple[Array, Array]:
     rows = list(csv.reader(io.StringIO(text)))
     header = [name.strip().lower() for name in rows[0]] if rows else []
     if sorted(header) != sorted(COLUMNS):
-        raise BadPack("E-REGION", f"{where}:line 1", f"columns {','.join(header)[:60]!r}; {', '.join(COLUMNS)} are needed")
+        raise BadPack(
+            "E-REGION", f"{where}:line 1", f"columns {','.join(header)[:60]!r}; {', '.join(COLUMNS)} are needed"
+        )
     found = []
     for line, row in enumerate(rows[1:], 2):
         if row:
@@ -144,7 +148,9 @@ def zone_triangles(solid: Solid, regions: Regions, share: float) -> tuple[Array,
     corners, face = (np.concatenate([part[k] for part in kept]) for k in range(2))
     if not len(face) or not (regions.zone_of(corners.mean(axis=1)) > 0).any():
         at = ", ".join(f"{value * 1e3:.4g}" for value in balls[0, :3])
-        raise BadMesh("E-REGION", "region", f"no surface lies in the regions of share {share:g}; the first is at {at} mm")
+        raise BadMesh(
+            "E-REGION", "region", f"no surface lies in the regions of share {share:g}; the first is at {at} mm"
+        )
     return corners, face
 
 

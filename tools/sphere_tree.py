@@ -95,7 +95,7 @@ def levels_over(
 
 
 def _levels_above(target: Target, balls: Array, mode: str, seed: int, tell: Progress) -> list[Array]:
-    """Levels of spheres (n_k, 4), coarse to fine, each with a quarter of the next one's count and the least error found.
+    """Levels of spheres (n_k, 4), coarse to fine, each with a quarter of the next one's count.
 
     balls (n, 4): centres inside the solid, those of the level below.
     """

@@ -70,9 +70,7 @@ class Target:
         By area, and in zones as much denser as their error is to be less.
         """
         solid = self.solid
-        points, face = sample_triangles(
-            solid.vertices[solid.faces], solid.areas, round(count / self.crowding), seed
-        )
+        points, face = sample_triangles(solid.vertices[solid.faces], solid.areas, round(count / self.crowding), seed)
         if not self.patches:
             return points, face, np.zeros(len(points), dtype=np.int64)
         zone = self.regions.zone_of(points)

@@ -89,7 +89,7 @@ def bound_tree(spheres: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarra
     """Balls over spheres (n, 4), each with at most 8 children and containing them in float64 and float32.
 
     Few of them are met by a ball of radius `reach`. Returns an order (n,) of the spheres in which branches stand
-    together, and in that order the ball that holds each (n,); the balls (m, 4), root first, and the parent of each (m,).
+    together, and in that order the ball that holds each (n,); the balls (m, 4), root first, and each one's parent (m,).
     """
 
 class TriangleTree:
@@ -139,7 +139,7 @@ class CoverFit:
         """excess: what the balls will be grown by; a zone gets its share of it, and of what its samples may lie out."""
 
     def quantile(self, share: float) -> float:
-        """The gap that this share of each zone's samples does not exceed, as far as it lies below the budget's high end."""
+        """The gap that this share of each zone's samples does not exceed, if below the budget's high end."""
 
     def polish(self, step: float, moves: int, temperature: float) -> int:
         """Each ball tries `moves` places up to `step` discs away. Returns how many moved."""

@@ -180,7 +180,9 @@ def load_pack(path: str | Path) -> AssetPack:
         objects[name] = SphereTree(
             levels=[tensors[f"object/{name}/level_{k}/spheres_m"] for k in range(count)],
             bounds=[
-                Bounds(*(tensors[f"object/{name}/level_{k}/{part}"] for part in ("bounds_m", "bounds_parent", "parent")))
+                Bounds(
+                    *(tensors[f"object/{name}/level_{k}/{part}"] for part in ("bounds_m", "bounds_parent", "parent"))
+                )
                 for k in range(count)
             ],
             vertices_m=tensors[f"object/{name}/vertices_m"],

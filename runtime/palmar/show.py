@@ -113,6 +113,7 @@ def print_description(description: dict[str, Any]) -> None:
 def print_build(answer: dict[str, Any]) -> None:
     """The answer of `palmar.tools.pack.build`: the errors of each level, then the file; warnings on stderr."""
     print_table(LEVEL_COLUMNS, _level_rows(answer["objects"]))
+    _print_regions(answer["objects"])
     print_fields({"pack": answer["pack"], "bytes": answer["bytes"], "sha256": answer["sha256"]})
     for warning in answer["warnings"]:
         print(f"warning: {warning}", file=sys.stderr)
@@ -190,6 +191,19 @@ def _print_pack(description: dict[str, Any]) -> None:
     if closed:
         print_table(CLOSING_COLUMNS, closed)
     print_table(LEVEL_COLUMNS, _level_rows(objects))
+    _print_regions(objects)
+
+
+def _print_regions(objects: dict[str, Any]) -> None:
+    """Where regions were asked for: the share of each, what that allows, and what the leaves keep there."""
+    columns = ("share", "error_mm", "gap_p99_mm", "protrusion_max_mm")
+    rows = [
+        (name, *(region[column] for column in columns))
+        for name, about in objects.items()
+        for region in about.get("parameters", {}).get("regions", [])
+    ]
+    if rows:
+        print_table(("object", "regions of share", "error mm", "gap p99 mm", "protrusion max mm"), rows)
 
 
 def _closing_rows(objects: dict[str, Any]) -> list[tuple[Any, ...]]:

@@ -78,7 +78,9 @@ def main():
         from matplotlib import pyplot
 
         figure, both = pyplot.subplots(1, 2, figsize=(9, 4), layout="constrained")
-        for axes, rows, column, name in zip(both, (of_triangles, of_leaves), (0, 1), ("triangles", "leaves"), strict=True):
+        for axes, rows, column, name in zip(
+            both, (of_triangles, of_leaves), (0, 1), ("triangles", "leaves"), strict=True
+        ):
             axes.loglog(rows[:, column], rows[:, 3], "o-", label="measured")
             axes.loglog(rows[:, column], rows[-1, 3] * rows[:, column] / rows[-1, column], "--", label="linear")
             axes.set(xlabel=name, ylabel="CPU seconds")

@@ -66,7 +66,9 @@ def print_levels(name, errors):
     for error in errors:
         gap, out = error["gap_mm"], error["protrusion_mm"]
         balanced, felt = (gap["p99"] + out["p99"]) / 2, error["normal_error_deg"]["p95"]
-        print(f"{name}: {error['spheres']:>6} spheres, balanced {balanced:.4g}, out max {out['max']:.4g}, felt {felt:.3g}")
+        print(
+            f"{name}: {error['spheres']:>6} spheres, balanced {balanced:.4g}, out max {out['max']:.4g}, felt {felt:.3g}"
+        )
 
 
 def row(path, wanted, mode, seed, bound, each_level):

@@ -149,7 +149,8 @@ def test_build_takes_regions_by_argument_and_by_list(tmp_path):
     (tmp_path / "list.toml").write_text('[[object]]\nmesh = "shape:cube"\nspheres = 15\nregion = "top.csv"\n')
     listed = build([tmp_path / "list.toml"], tmp_path / "b.pack")
     assert argued["sha256"] == listed["sha256"]
-    assert argued["objects"]["cube"]["parameters"]["regions"][0]["share"] == 0.5
+    parameters = argued["objects"]["cube"]["parameters"]
+    assert parameters["regions"][0]["share"] == 0.5 and parameters["region_files"][0][0] == "top.csv"
     for text, words in (("region = 3\n", "a path or a list"), ("touched_share = 0.001\n", "touched_share")):
         (tmp_path / "bad.toml").write_text('[[object]]\nmesh = "shape:cube"\n' + text)
         with pytest.raises(PalmarError, match=words):
