@@ -29,6 +29,7 @@ _RESERVE = 0.012  # share kept for corners that are left at the end
 # Many short rounds first, then ever more samples to trust.
 _PHASES: tuple[Phase, ...] = ((60, 0.4, 15), (150, 0.3, 20), (500, 0.2, 12))
 _FEW = 12
+_TIGHTER = 0.9  # G from one try to add balls to the next
 _LEVEL: Phase = (150, 0.4, 14)  # starts from good places and needs no other
 _MOST_SAMPLES = 1_500_000
 _MOVES = 4  # a ball and round
@@ -62,11 +63,22 @@ def within_count(target: Target, count: int, mode: str, seed: int, tell: Progres
         if last:
             # What moved away from corners since; and what is left of the reserve where most is bare.
             more = _corners(target, balls, budget, mode, seed + 10, total - len(balls))
-            fit.set_balls(target.solid.triangles, np.concatenate([balls, more]))
-            fit.add(total - len(balls) - len(more), 6)
-            balls = fit.balls()
+            balls = _fill(target, fit, np.concatenate([balls, more]), total, budget, mode)
         del fit  # before the next takes its memory
     return within(target.solid, balls)
+
+
+def _fill(target: Target, fit: CoverFit, balls: Array, total: int, budget: float, mode: str) -> Array:
+    """The balls and more of them up to a total, where most is bare; fewer if only facets were left to copy."""
+    while True:
+        balls = within(target.solid, balls)
+        if len(balls) == total or budget < _finest(target):
+            return balls
+        _set_budget(fit, budget, mode)
+        fit.set_balls(target.solid.triangles, balls)
+        fit.add(total - len(balls), 6)
+        balls = fit.balls()
+        budget *= _TIGHTER
 
 
 def thinned(target: Target, balls: Array, count: int, mode: str, seed: int) -> Array:
