@@ -36,7 +36,6 @@ _MOVES = 4  # a ball and round
 # Low and high end of what a sample may cost, in G; and how much worse a move may make it, in samples of a ball's share.
 _LOW, _HIGH = 0.9, 1.4
 _TEMPERATURE = 0.004
-_TRIALS = 8  # of exchange for each that the last round took
 
 
 def within_count(target: Target, count: int, mode: str, seed: int, tell: Progress) -> Array:
@@ -155,11 +154,9 @@ def _improve(
 ) -> float:
     """Rounds of exchange and polish for `count` balls, while the budget follows the G that is reached; returns it."""
     density, step, rounds = phase
-    trials = count // 2
     for turn in range(rounds):
         tell(turn / rounds)
-        taken = fit.exchange(trials, 6)
-        trials = int(np.clip(_TRIALS * taken, count // 16, count // 2))
+        fit.exchange(count // 2, 6)
         fit.add(count - len(fit.balls()), 6)
         fit.polish(step, _MOVES, _temperature(density, turn, rounds))
         reached = fit.quantile(MODES[mode])
