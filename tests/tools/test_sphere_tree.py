@@ -88,8 +88,8 @@ def test_threads_do_not_change_a_bit():
     balls = medial_balls(solid, points[:60], face[:60], 1e-5)
     found = []
     for threads in (1, 3):
-        fit = CoverFit(solid.triangles, points, inward, face, 5, threads)
-        fit.set_budget(1e-3, 2e-3)
+        fit = CoverFit(solid.triangles, [], points, inward, face, np.zeros_like(face), 5, threads)
+        fit.set_budget(1e-3, 2e-3, 0.0)
         fit.set_balls(solid.triangles, balls)
         fit.exchange(100, 4)
         fit.polish(0.3, 4, 0.1)
