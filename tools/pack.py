@@ -170,7 +170,7 @@ def build_object(source: Source, seed: int, progress: Progress) -> tuple[SphereT
         )
         method = str(parameters.pop("method", "built"))
         if source.spheres is not None and len(levels[-1]) < source.spheres:
-            found = f"{len(levels[-1])} of {int(source.spheres)} spheres: they follow the mesh to a 10,000th of its size"
+            found = f"{len(levels[-1])} of {int(source.spheres)} spheres: they follow it to a 10,000th of its size"
             warnings.append(f"{source.name}: {found}, more would copy its facets")
         if source.region or source.touched:
             files = [Path(path) for path in (*source.region, *source.touched)]
