@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmar.tools.cover_place import SurfaceErrors
+from palmar.tools.exr import shown, write_exr
 from palmar.tools.raster import Hits, find_hits, ranks
 from palmar.tools.solid import Solid, smooth_normals
 
@@ -27,11 +28,16 @@ _SIDES = [(axis, sign) for axis in range(3) for sign in (1, -1)]
 
 @dataclass(frozen=True)
 class Unwrapped:
-    """Texels of a surface: place in an image of `shape` (rows, columns), point and unit normal (n, 3), area (n,)."""
+    """Texels of a surface: place in an image of `shape` (rows, columns), point and unit normal (n, 3), area (n,).
+
+    face (n,) and share (n, 3): the triangle that each lies on, and the barycentric coordinates there.
+    """
 
     shape: tuple[int, int]
     row: NDArray[np.int64]
     column: NDArray[np.int64]
+    face: NDArray[np.int64]
+    share: Array
     points: Array
     normals: Array
     areas: Array
@@ -62,10 +68,10 @@ def unwrap(solid: Solid, texels: int = TEXELS) -> Unwrapped:
         columns.append(left + hits.column - hits.column.min())
         rows.append(top + height - 1 - (hits.row - hits.row.min()))  # up is up
     points = np.concatenate([points for _, points in tiles])
-    face = np.concatenate([hits.face for hits, _ in tiles])
+    face, share = (np.concatenate(parts) for parts in zip(*((hits.face, hits.share) for hits, _ in tiles), strict=True))
     normals = smooth_normals(solid, points, face)
     areas = pitch**2 / np.abs(towards[face])
-    return Unwrapped(shape, np.concatenate(rows), np.concatenate(columns), points, normals, areas, pitch)
+    return Unwrapped(shape, np.concatenate(rows), np.concatenate(columns), face, share, points, normals, areas, pitch)
 
 
 def write_map(path: str | Path, place: Unwrapped, errors: SurfaceErrors, colours: Array) -> list[str]:
@@ -74,15 +80,9 @@ def write_map(path: str | Path, place: Unwrapped, errors: SurfaceErrors, colours
     colours (n, 3), sRGB: what viewers show, stored linear as R, G, B; A is 1 on the surface. NaN in
     a felt channel: no fingertip reaches the place.
     """
-    import OpenEXR
-
     position = place.points * 1e3
-    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
     values = {
-        "R": linear[:, 0],
-        "G": linear[:, 1],
-        "B": linear[:, 2],
-        "A": np.ones(len(position)),
+        **shown(colours),
         "gap_mm": errors.gap_m * 1e3,
         "protrusion_mm": errors.protrusion_m * 1e3,
         "normal_deg": errors.normal_deg,
@@ -92,20 +92,11 @@ def write_map(path: str | Path, place: Unwrapped, errors: SurfaceErrors, colours
         "position_mm.y": position[:, 1],
         "position_mm.z": position[:, 2],
     }
-    channels = {}
-    for name, value in values.items():
-        image = np.zeros(place.shape, dtype=np.float32)
-        image[place.row, place.column] = value
-        channels[name] = image
     header = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
         "comments": "Palmar: errors of a union of spheres over the surface of its mesh; mm, degrees, A = 0: no surface",
         "texel_mm": float(place.pitch_m * 1e3),
     }
-    with OpenEXR.File(header, channels) as out:
-        out.write(str(path))
-    return list(values)
+    return write_exr(path, place.shape, place.row, place.column, values, header)
 
 
 def _set_in_rows(boxes: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], tuple[int, int]]:
