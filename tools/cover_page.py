@@ -41,7 +41,7 @@ _FIGURES = (
         "Tree",
         "not contained",
         "tree not_contained",
-        "spheres that reach out of their parent: contacts that a search loses",
+        "spheres and balls that reach out of the ball above: contacts that a search loses",
     ),
     ("Tree", "not contained, float32", "tree not_contained_float32", "the same in the precision of a fast search"),
     ("Tree", "farthest out, mm", "tree farthest_out_mm", ""),

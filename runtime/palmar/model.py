@@ -65,7 +65,7 @@ HAND_SHAPES: dict[str, tuple[int | None, ...]] = {
     "palm_rotation_stiffness_n_m_per_rad": (1,),
     "flexion_coupling": (5, 2),
 }
-# Packs from before there was a coupling lack it; they get the default.
+# A hand without a coupling gets the default.
 MAY_BE_MISSING = {"hand/flexion_coupling"}
 
 

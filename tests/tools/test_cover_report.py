@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -92,10 +93,12 @@ def test_a_mesh_alone_is_measured_against_csvs_and_says_how_it_was_closed(files,
 def test_what_is_wrong_with_a_tree_is_counted(files):
     tree = load_pack(files / "two.pack").objects["cube"]
     assert check_tree(tree)["valid"]
-    levels, parents = [level.copy() for level in tree.levels], [parent.copy() for parent in tree.parents]
+    levels, bounds = [level.copy() for level in tree.levels], list(tree.bounds)
     levels[-1][3, 3] += 1.0
-    parents[-1][5] = 99
-    found = check_tree(SphereTree(levels, parents, tree.vertices_m, tree.faces))
+    parent = bounds[-1].sphere_parent.copy()
+    parent[5] = 9999
+    bounds[-1] = replace(bounds[-1], sphere_parent=parent)
+    found = check_tree(SphereTree(levels, bounds, tree.vertices_m, tree.faces))
     assert (found["not_contained"], found["not_contained_float32"], found["without_parent"]) == (1, 1, 1)
     assert 900 < found["farthest_out_mm"] <= 1000 and not found["valid"]
 
