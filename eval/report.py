@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from palmar.errors import BadPack, BadTrace, PalmarError
+from palmar.errors import BadPack, BadTrace
 from palmar.eval.case import Reference
 from palmar.eval.figures import write_figures
 from palmar.eval.metrics import measure, metrics_json, verdict
 from palmar.eval.page import build_page
 from palmar.eval.panels import Judged, panels
+from palmar.files import require_own_folder, whole_folder
 from palmar.model import load_pack
 from palmar.records import Run, read_run
 
@@ -40,7 +39,7 @@ def write_report(
     PalmarError if the folder holds anything but a report.
     """
     out_dir = Path(out_dir)
-    check_folder(out_dir)
+    require_own_folder(out_dir, OF_A_REPORT, "report")
     total = 2 * len(runs) + 1
     done = 0
 
@@ -55,7 +54,8 @@ def write_report(
     for name, (run_path, pack_path) in zip(run_names(runs), runs, strict=True):
         tell(f"judging {name}")
         judged.append(judge_run(name, Path(run_path), Path(pack_path), same_start, own_ways))
-    write_folder(judged, out_dir, tell)
+    with whole_folder(out_dir, OF_A_REPORT, "report") as folder:
+        fill_folder(judged, folder, tell)
     return {
         "page": str(out_dir / "index.html"),
         "passed": all(one.passed for one in judged),
@@ -107,38 +107,17 @@ def judge_run(
     return Judged(name, run, pack, object_name, rows, series, sentence, passed, {"run": run_path, "pack": pack_path})
 
 
-def write_folder(judged: list[Judged], out_dir: Path, tell: Callable[[str], None]) -> None:
-    """Write the report of judged runs; the folder takes its name only when it is complete."""
-    out_dir.parent.mkdir(parents=True, exist_ok=True)
-    work = Path(tempfile.mkdtemp(dir=out_dir.parent, prefix=f".{out_dir.name}."))
-    try:
-        fresh = work / "report"
-        (fresh / "figures").mkdir(parents=True)
-        for one in judged:
-            tell(f"drawing {one.name}")
-            for _ in write_figures(one.name, panels(one), fresh / "figures"):
-                pass
-        tell("writing the page")
-        title = judged[0].name if len(judged) == 1 else f"{len(judged)} runs"
-        (fresh / "index.html").write_text(build_page(judged, title), encoding="utf-8")
-        (fresh / "metrics.json").write_text(metrics_json([(one.name, one.run, one.rows) for one in judged]))
-        if out_dir.exists():
-            out_dir.replace(work / "earlier")
-        fresh.replace(out_dir)
-    finally:
-        shutil.rmtree(work)
-
-
-def check_folder(out_dir: Path) -> None:
-    """Raise PalmarError unless the name is free, an empty folder or an earlier report."""
-    if not out_dir.exists():
-        return
-    if not out_dir.is_dir():
-        raise PalmarError("E-REPORT-FOLDER", str(out_dir), "is a file; give the name of a folder")
-    other = sorted({path.name for path in out_dir.iterdir()} - OF_A_REPORT)
-    if other:
-        message = f"holds {other[0]!r}, which no report wrote; give a new folder or one with an earlier report"
-        raise PalmarError("E-REPORT-FOLDER", str(out_dir), message)
+def fill_folder(judged: list[Judged], folder: Path, tell: Callable[[str], None]) -> None:
+    """Write the report of judged runs into an empty folder."""
+    (folder / "figures").mkdir()
+    for one in judged:
+        tell(f"drawing {one.name}")
+        for _ in write_figures(one.name, panels(one), folder / "figures"):
+            pass
+    tell("writing the page")
+    title = judged[0].name if len(judged) == 1 else f"{len(judged)} runs"
+    (folder / "index.html").write_text(build_page(judged, title), encoding="utf-8")
+    (folder / "metrics.json").write_text(metrics_json([(one.name, one.run, one.rows) for one in judged]))
 
 
 def run_names(runs: list[tuple[Path, Path]]) -> list[str]:

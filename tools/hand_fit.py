@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from palmar.errors import BadMesh, PalmarError
+from palmar.files import require_own_folder
 from palmar.model import FINGERS, AssetPack, HandModel, save_pack
 from palmar.skin import HandMesh
 from palmar.tools.capsule_fit import FingerSkin, fit_finger
@@ -22,7 +23,7 @@ from palmar.tools.hand_frame import HandFrame, make_frame
 from palmar.tools.hand_joints import rig_of_joints
 from palmar.tools.hand_palm import drop_useless, palm_solid, palm_spheres
 from palmar.tools.hand_quality import gap_samples, hand_quality, hybrid_gap, protrusion_samples
-from palmar.tools.hand_report import check_report_place, write_fit_report
+from palmar.tools.hand_report import FILES, WHAT, write_fit_report
 from palmar.tools.hand_shape import PosedHand, SkinPoints, pose_hand, skin_points, sweep_angles
 from palmar.tools.mesh import METRES_PER_UNIT
 from palmar.tools.pack import PACKAGES, version_of
@@ -61,7 +62,7 @@ def fit_hand(
     if units not in METRES_PER_UNIT:
         raise PalmarError("E-CONF", "--units", f"{units!r}; known are {', '.join(METRES_PER_UNIT)}")
     if report is not None:
-        check_report_place(report)
+        require_own_folder(Path(report), FILES, WHAT)
     say("reading", 0.0)
     rig = _read_rig(path, name_map, joints_path)
     frame = make_frame(where, rig, METRES_PER_UNIT[units])

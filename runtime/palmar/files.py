@@ -43,20 +43,28 @@ def require_folder(path: Path) -> Path:
     return path
 
 
+def require_own_folder(path: Path, own: set[str], what: str) -> None:
+    """Raise PalmarError E-FILE-PLACE unless the name is free or of a folder with nothing but what `own` names.
+
+    what: as such a folder is called.
+    """
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise PalmarError("E-FILE-PLACE", str(path), "is a file; the name of a folder is needed")
+    other = sorted({entry.name for entry in path.iterdir()} - own)
+    if other:
+        found = f"holds {other[0]!r}, which is of no {what}; a new folder or one with an earlier {what} is needed"
+        raise PalmarError("E-FILE-PLACE", str(path), found)
+
+
 @contextmanager
 def whole_folder(path: Path, own: set[str], what: str) -> Iterator[Path]:
     """A new folder to write into, which takes the name `path` when the block ends well; else nothing is left of it.
 
-    An earlier folder that holds nothing but files and folders named in `own` is replaced. Raises PalmarError
-    E-FILE-PLACE, before the block, if something else has the name; what: as such a folder is called.
+    An earlier folder of the kind is replaced. Raises what `require_own_folder` does, before the block.
     """
-    if path.exists():
-        if not path.is_dir():
-            raise PalmarError("E-FILE-PLACE", str(path), "is a file; the name of a folder is needed")
-        other = sorted({entry.name for entry in path.iterdir()} - own)
-        if other:
-            found = f"holds {other[0]!r}, which is of no {what}; a new folder or one with an earlier {what} is needed"
-            raise PalmarError("E-FILE-PLACE", str(path), found)
+    require_own_folder(path, own, what)
     path.parent.mkdir(parents=True, exist_ok=True)
     work = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
     try:

@@ -21,8 +21,9 @@ from palmar.eval.judge import fingertips, graphic_poses
 from palmar.eval.metrics import METRICS
 from palmar.eval.page import build_page, metrics_table, number_text, value_cell
 from palmar.eval.panels import Judged, Panel, hard_steps, panels, thin, worst_steps
-from palmar.eval.report import check_folder, run_names, write_folder
+from palmar.eval.report import OF_A_REPORT, fill_folder, run_names, write_report
 from palmar.eval.view3d import MOST_FRAMES, frame_steps, three_js
+from palmar.files import whole_folder
 from palmar.model import AssetPack, HandModel, SphereTree
 from palmar.records import Run
 from palmar.tools.hierarchy import bounds_over
@@ -244,15 +245,16 @@ def test_runs_of_one_name_are_told_apart():
 
 def test_a_folder_with_other_files_is_not_overwritten(tmp_path):
     (tmp_path / "thesis.tex").write_text("")
-    with pytest.raises(PalmarError, match="E-REPORT-FOLDER"):
-        check_folder(tmp_path)
+    with pytest.raises(PalmarError, match="E-FILE-PLACE"):
+        write_report([], tmp_path)
 
 
 def test_an_earlier_report_is_replaced_whole(tmp_path):
     out = tmp_path / "report"
     (out / "figures").mkdir(parents=True)
     (out / "figures" / "old.png").write_text("")
-    write_folder([made_judged(steps=200)], out, lambda what: None)
+    with whole_folder(out, OF_A_REPORT, "report") as folder:
+        fill_folder([made_judged(steps=200)], folder, lambda what: None)
     assert {path.name for path in out.iterdir()} == {"index.html", "metrics.json", "figures"}
     assert not (out / "figures" / "old.png").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["report"]  # no temporary folder stays
