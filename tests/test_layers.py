@@ -36,7 +36,7 @@ DOORS = {
     "pygltflib": ["tools/gltf_skin.py"],
     "rich": ["runtime/palmar/terminal.py"],
     "safetensors": ["runtime/palmar/model.py"],
-    "threadpoolctl": ["tools/hand_fit.py"],
+    "threadpoolctl": ["tools/hand_fit.py", "traces/finger_shape.py", "traces/inverse.py"],
     "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py", "tools/moved.py"],
     "typer": [f"runtime/palmar/cli{name}.py" for name in ("", "_app", "_calibrate", "_make", "_trace", "_judge")],
 }

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_limits
 
 from palmar.model import HandModel
 from palmar.profile import bone_vectors
@@ -38,6 +39,7 @@ JOINTS_SEEN = Firmness(knuckle_m=0.003, axis_rad=0.25, length=0.02, marker_m=0.0
 MARKERS_SEEN = Firmness(knuckle_m=0.008, axis_rad=0.12, length=0.05, marker_m=0.006)
 
 
+@threadpool_limits.wrap(limits=1)  # as `fit_finger`
 def fit_shape(
     hand: HandModel,
     finger: int,

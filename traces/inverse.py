@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
+from threadpoolctl import threadpool_limits
 
 from palmar.model import HandModel
 from palmar.traces.kinematics import Array, finger_jacobian, finger_points, joint_points
@@ -27,6 +28,8 @@ def angle_limits(hand: HandModel, finger: int) -> tuple[Array, Array]:
     return limit[:, 0], limit[:, 1]
 
 
+# Small matrices: a second thread of the linear algebra would only wait for the first.
+@threadpool_limits.wrap(limits=1)
 def fit_finger(
     hand: HandModel,
     finger: int,
