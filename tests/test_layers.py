@@ -19,7 +19,7 @@ LAYERS = [
     "force filter release search",
     "solver",
     "baseline round",
-    "solve_.*",
+    "bend solve_.*",
     "settings session",
     "replay",
     "c_api python.*",
