@@ -182,9 +182,8 @@ double evaluate_gaps(const HandModel& hand, const Candidates& candidates, const 
   return least;
 }
 
-bool linearise(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, const double* gap,
-               const PerLink& limit, const std::uint8_t* also, double aim, bool push_out, QpRows& rows,
-               std::int32_t* row_candidate) {
+bool linearise(const Candidates& candidates, const HandPlacement& at, const double* gap, const PerLink& limit,
+               const std::uint8_t* also, double aim, bool push_out, QpRows& rows, std::int32_t* row_candidate) {
   rows.count = 0;
   rows.group_start.fill(0);
   bool fits = true;

@@ -83,8 +83,7 @@ double smallest(const double* gap, int count);
 // gap may not fall below `aim`, or below what it is now if it is between 0 and `aim`; `push_out` asks for `aim` even
 // where that means moving away. Row i is pair row_candidate[i]. False when the rows do not fit; those that do are
 // there.
-bool linearise(const HandModel& hand, const Candidates& candidates, const HandPlacement& at, const double* gap,
-               const PerLink& limit, const std::uint8_t* also, double aim, bool push_out, QpRows& rows,
-               std::int32_t* row_candidate);
+bool linearise(const Candidates& candidates, const HandPlacement& at, const double* gap, const PerLink& limit,
+               const std::uint8_t* also, double aim, bool push_out, QpRows& rows, std::int32_t* row_candidate);
 
 }  // namespace palmar

@@ -116,7 +116,7 @@ QpResult Round::programme(const HandPlacement& at, const Configuration& q, const
   const auto start = Clock::now();
   const Settings& s = scene.settings;
   // Rows that do not fit are left out: whether they were needed is seen at the trial pose.
-  linearise(scene.hand, work.candidates, at, gap, near, work.wanted.data(), s.aim_m, push_out, work.rows,
+  linearise(work.candidates, at, gap, near, work.wanted.data(), s.aim_m, push_out, work.rows,
             work.row_candidate.data());
   QpProblem problem;
   problem.metric = metric;

@@ -108,8 +108,7 @@ std::uint32_t solve_aggregate(const Scene& scene, const Configuration& haptic, S
   if (!gather_near(scene, at, kBand, 0, kLinks, work)) return kKeptPrevious;
   PerLink band;
   band.fill(kBand);
-  if (!linearise(scene.hand, work.candidates, at, work.gap.data(), band, nullptr, 0.0, true, work.rows,
-                 work.row_candidate.data()))
+  if (!linearise(work.candidates, at, work.gap.data(), band, nullptr, 0.0, true, work.rows, work.row_candidate.data()))
     return kKeptPrevious;
   Merger{work}.merge_all();
   bool relaxed;

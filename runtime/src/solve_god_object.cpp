@@ -31,8 +31,7 @@ QpResult constrained_motion(const Scene& scene, const QpProblem& problem, const 
   const int limit = scene.settings.qp_iterations;
   PerLink contact;
   contact.fill(kContact);
-  linearise(scene.hand, work.candidates, at, work.gap.data(), contact, nullptr, 0.0, true, work.rows,
-            work.row_candidate.data());
+  linearise(work.candidates, at, work.gap.data(), contact, nullptr, 0.0, true, work.rows, work.row_candidate.data());
   for (int i = 0; i < work.rows.count; ++i) work.rows.b[i] = std::max(0.0, work.rows.b[i]);
   QpResult result = solve_qp(problem, work.rows, 1e-9, limit, work.violation.data());
   if (result.status == QpStatus::infeasible) {

@@ -24,8 +24,7 @@ std::uint32_t solve_monolithic(const Scene& scene, const Configuration& haptic, 
   if (!gather_near(scene, at, kBand, 0, kLinks, work)) return kKeptPrevious;
   PerLink band;
   band.fill(kBand);
-  if (!linearise(scene.hand, work.candidates, at, work.gap.data(), band, nullptr, 0.0, true, work.rows,
-                 work.row_candidate.data()))
+  if (!linearise(work.candidates, at, work.gap.data(), band, nullptr, 0.0, true, work.rows, work.row_candidate.data()))
     return kKeptPrevious;
   bool relaxed;
   const QpResult result = solve_least_violation(scene, towards(scene.hand, q, haptic), work, relaxed);

@@ -116,7 +116,7 @@ std::uint32_t solve_paper(const Scene& scene, const Configuration& haptic, Solve
   evaluate_gaps(hand, work.candidates, at, work.gap.data());
   PerLink all;
   all.fill(1e9);  // metres: the band has chosen already
-  linearise(hand, work.candidates, at, work.gap.data(), all, nullptr, 0.0, true, work.rows, work.row_candidate.data());
+  linearise(work.candidates, at, work.gap.data(), all, nullptr, 0.0, true, work.rows, work.row_candidate.data());
   const QpResult palm = solve_least_violation(scene, part_of(towards(hand, q, haptic), 0, 3), work, relaxed);
   if (palm.status != QpStatus::solved) status |= kIterationLimit;
   if (!relaxed) remember_active(scene, palm, work);

@@ -75,8 +75,7 @@ std::uint32_t solve_penalty(const Scene& scene, const Configuration& haptic, Sol
       evaluate_gaps(hand, work.candidates, at, work.gap.data());
       work.operations += work.candidates.total();
     }
-    linearise(hand, work.candidates, at, work.gap.data(), touching, nullptr, 0.0, true, work.rows,
-              work.row_candidate.data());
+    linearise(work.candidates, at, work.gap.data(), touching, nullptr, 0.0, true, work.rows, work.row_candidate.data());
     work.operations += work.rows.count;
 
     const Change pull = difference(k == kSubSteps ? haptic : advance(before, way, double(k) / kSubSteps), q);

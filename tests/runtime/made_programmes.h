@@ -229,7 +229,7 @@ inline Programme of_a_hand(std::mt19937& rng, int trial) {
     if (look(at) < 0 || candidates.total() < 5) continue;
     Programme p = blank(rng);
     std::vector<std::int32_t> candidate(4000);
-    if (!linearise(model, candidates, at, gap.data(), limit, nullptr, 1e-6, false, p.rows, candidate.data())) continue;
+    if (!linearise(candidates, at, gap.data(), limit, nullptr, 1e-6, false, p.rows, candidate.data())) continue;
     for (int f = -1; f < kFingers; ++f) p.finger.resize(std::size_t(p.rows.group_start[f + 2]), f);
     for (int v = 0; v < kVariables; ++v) {
       const bool palm = v < kPalmVariables, abduction = !palm && (v - kPalmVariables) % kFingerVariables == 0;

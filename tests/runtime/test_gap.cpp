@@ -55,7 +55,7 @@ int main() {
     evaluate_gaps(hand, candidates, at, gap.data());
     QpRows rows(20000);
     std::vector<std::int32_t> row_candidate(20000);
-    CHECK(linearise(hand, candidates, at, gap.data(), limit, nullptr, 1e-6, false, rows, row_candidate.data()));
+    CHECK(linearise(candidates, at, gap.data(), limit, nullptr, 1e-6, false, rows, row_candidate.data()));
     constexpr double h = 1e-6;  // rad or m: truncation h^2 / r^2 and rounding 1e-16 / h both stay below 1e-8
     for (int v = 0; v < kVariables; ++v) {
       Change change{};
