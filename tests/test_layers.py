@@ -29,6 +29,7 @@ EVERYWHERE = {"palmar", "numpy", "scipy"}
 DOORS = {
     "igl": ["eval/gap.py", "tools/close.py", "tools/moved.py", "tools/solid.py"],
     "manifold3d": ["tools/close.py", "tools/hand_palm.py", "tools/lattice.py", "tools/shapes.py"],
+    "open3d": ["tools/scan.py"],
     "OpenEXR": ["tools/exr.py"],
     "matplotlib": ["eval/figures.py", "tools/cover_picture.py", "tools/hand_picture.py"],
     "plotly": ["eval/page.py"],

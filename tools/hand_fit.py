@@ -46,6 +46,8 @@ def fit_hand(
     *,
     name_map: str | Path | None = None,
     joints_path: str | Path | None = None,
+    scan_to: str | Path | None = None,
+    landmarks: str | Path | None = None,
     report: str | Path | None = None,
     units: str = "m",
     spheres: int = SPHERES,
@@ -54,7 +56,8 @@ def fit_hand(
 ) -> dict[str, Any]:
     """Fit a rigged hand and write it as a pack without objects, which `build` takes as a hand.
 
-    joints_path: places of joints, for a mesh without a skin (`rig_of_joints`); report: a folder for `write_fit_report`.
+    joints_path: places of joints, for a mesh without a skin (`rig_of_joints`); scan_to, landmarks: a fitted hand that is warped onto
+    a scan, and where the scan's wrist and fingertips are (`rig_of_scan`); report: a folder for `write_fit_report`.
     Returns {"out", "sha256", "hand": what the pack says of it, "poses": its errors pose by pose (`hand_quality`)}.
     Raises BadMesh, BadPack or PalmarError; nothing is written then.
     """
@@ -64,7 +67,8 @@ def fit_hand(
     if report is not None:
         require_own_folder(Path(report), FILES, WHAT)
     say("reading", 0.0)
-    rig = _read_rig(path, name_map, joints_path)
+    with threadpool_limits(1):
+        rig, registered = _read_rig(path, name_map, joints_path, scan_to, landmarks, units)
     frame = make_frame(where, rig, METRES_PER_UNIT[units])
     mesh = hand_mesh(where, rig, frame, METRES_PER_UNIT[units])
     # Small matrices: a second thread of the linear algebra would only wait for the first.
@@ -80,6 +84,7 @@ def fit_hand(
         "units": units,
         "axes": frame.axis_source,
         "axis_error_deg": frame.axis_error_deg.tolist(),
+        **registered,
         **hand.about,
         "error": {"rest": quality["rest"], "sweep": quality["sweep"], "volume_ratio": quality["volume_ratio"]},
     }
@@ -92,12 +97,30 @@ def fit_hand(
     return answer
 
 
-def _read_rig(path: str | Path, name_map: str | Path | None, joints_path: str | Path | None) -> Rig:
-    if joints_path is None:
-        return make_rig(str(path), read_skin(path), name_map)
-    if name_map is not None:
-        raise PalmarError("E-CONF", "--names", "together with --joints; the joints' file has the names")
-    return rig_of_joints(path, joints_path)
+def _read_rig(
+    path: str | Path,
+    name_map: str | Path | None,
+    joints_path: str | Path | None,
+    scan_to: str | Path | None,
+    landmarks: str | Path | None,
+    units: str,
+) -> tuple[Rig, dict[str, Any]]:
+    """The rig, and what `about` says of how it was registered."""
+    given = {"--names": name_map, "--joints": joints_path, "--to": scan_to}
+    flags = [flag for flag, value in given.items() if value is not None]
+    if len(flags) > 1:
+        raise PalmarError("E-CONF", flags[0], f"together with {flags[1]}; one of them says where the joints are")
+    if (scan_to is None) != (landmarks is None):
+        what = "--to HAND.pack and --landmarks, a CSV or JSON with wrist and five fingertips"
+        raise PalmarError("E-CONF", "--landmarks" if scan_to is None else "--to", f"alone; a scan needs both {what}")
+    if scan_to is not None and landmarks is not None:
+        from palmar.tools.scan import rig_of_scan
+
+        rig, scan = rig_of_scan(path, scan_to, landmarks, units)
+        return rig, {"scan": scan}
+    if joints_path is not None:
+        return rig_of_joints(path, joints_path), {}
+    return make_rig(str(path), read_skin(path), name_map), {}
 
 
 def hand_mesh(where: str, rig: Rig, frame: HandFrame, metres_per_unit: float) -> HandMesh:

@@ -90,7 +90,7 @@ def build(
 @app.command("fit-hand")
 def fit_hand(
     hand: Annotated[
-        Path, typer.Argument(metavar="HAND.glb", help="Rigged hand: GLB or glTF with a skin; any mesh with --joints.")
+        Path, typer.Argument(metavar="HAND.glb", help="Rigged hand: GLB or glTF with a skin; any mesh with --joints, a scan with --to.")
     ],
     *,
     out: OutFile,
@@ -100,6 +100,10 @@ def fit_hand(
         Path | None,
         typer.Option(help="CSV or JSON with places of joints, for a mesh without a skin (OBJ, PLY, STL, ...)."),
     ] = None,
+    to: Annotated[
+        Path | None, typer.Option(help="Pack of a fitted hand that is warped onto a scan; with --landmarks.")
+    ] = None,
+    landmarks: Annotated[Path | None, typer.Option(help="CSV or JSON: wrist and fingertips of the scan.")] = None,
     spheres: Annotated[int, typer.Option(min=1, help="Spheres of the palm, at most.")] = 250,
     report: Annotated[Path | None, typer.Option(help="Folder for figures, picture and map of the error.")] = None,
     seed: Seed = 0,
@@ -120,6 +124,8 @@ def fit_hand(
             units=units,
             name_map=names,
             joints_path=joints,
+            scan_to=to,
+            landmarks=landmarks,
             spheres=spheres,
             report=report,
             seed=seed,
