@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,7 @@ def rig_of_scan(path: str | Path, to: str | Path, landmarks: str | Path, units: 
     numbers = warp_to_points(warp, numbers, points, normals)
     residual = _residual(where, warp, numbers, points)
     rig = _rig(where, warp, numbers, _moved_onto(warp, numbers, points, normals), scale)
-    return rig, {"to": Path(to).name, "to_sha256": sha256_of(to), "points": len(points), "residual_mm": residual}
+    return rig, {"to": Path(to).name, "to_sha256": sha256_of(Path(to)), "points": len(points), "residual_mm": residual}
 
 
 def clean_scan(where: str, points: Array) -> tuple[Array, Array]:
@@ -93,16 +94,19 @@ def _open3d() -> Any:
 
 def _read_points(where: str, units: str) -> Array:
     """Points of a cloud, or even points on the triangles of a mesh, in metres."""
-    kind = Path(where).suffix.lower()
-    if kind not in CLOUDS:
-        try:
-            mesh = read_mesh(where, units=units)
-            face, mix, _ = spread(mesh.vertices_m, mesh.faces, VOXEL_M / 2)
-            return np.einsum("nk,nka->na", mix, mesh.vertices_m[mesh.faces[face]])
-        except BadMesh as error:
-            if kind != ".ply" or error.code != "E-MESH-EMPTY":
-                raise
+    if not _is_cloud(Path(where)):
+        mesh = read_mesh(where, units=units)
+        face, mix, _ = spread(mesh.vertices_m, mesh.faces, VOXEL_M / 2)
+        return np.einsum("nk,nka->na", mix, mesh.vertices_m[mesh.faces[face]])
     return METRES_PER_UNIT[units] * np.asarray(_open3d().io.read_point_cloud(where).points)
+
+
+def _is_cloud(path: Path) -> bool:
+    if path.suffix.lower() != ".ply":
+        return path.suffix.lower() in CLOUDS
+    with path.open("rb") as stream:
+        header = stream.read(1 << 16).split(b"end_header")[0]
+    return re.search(rb"element\s+face\s+[1-9]", header) is None
 
 
 def _landmarks(path: str | Path, scale: float) -> Array:
@@ -194,7 +198,7 @@ def _rig(where: str, warp: Warp, numbers: Array, vertices: Array, scale: float) 
         joint=np.array(joints) / scale,
         turn=np.array(turns),
         source=Path(where).name,
-        sha256=sha256_of(where),
+        sha256=sha256_of(Path(where)),
     )
     return make_rig(where, skinned)
 

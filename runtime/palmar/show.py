@@ -126,6 +126,9 @@ def print_fit(answer: dict[str, Any]) -> None:
         (part, *(hand["error"][pose][part][figure][stat] for pose, figure, stat in FIT_ERRORS))
         for part in hand["error"]["rest"]
     ]
+    if "scan" in hand:
+        found = [(part, *figures.values()) for part, figures in hand["scan"]["residual_mm"].items()]
+        print_table(("from the scan to the warped hand, mm", "p50", "p99", "max"), found)
     print_table(FIT_COLUMNS, rows)
     fields = {"hand": answer["out"], "side": hand["side"], "palm spheres": hand["palm"]["kept"]}
     fields |= {"volume by the mesh's": hand["error"]["volume_ratio"], "axes from the": hand["axes"]}
