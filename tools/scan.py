@@ -47,14 +47,18 @@ def rig_of_scan(path: str | Path, to: str | Path, landmarks: str | Path, units: 
     where, scale = str(path), METRES_PER_UNIT[units]
     hand = load_pack(to).hand
     if hand.mesh is None:
-        raise BadPack("E-CONF", str(to), "a hand without a mesh; one that `palmar fit-hand` made of a rigged mesh is needed")
+        raise BadPack(
+            "E-CONF", str(to), "a hand without a mesh; one that `palmar fit-hand` made of a rigged mesh is needed"
+        )
     places = _landmarks(landmarks, scale)
     points, normals = clean_scan(where, _read_points(where, units))
     warp = make_warp(hand)
     numbers = warp_to_landmarks(warp, places[0], places[1:])
     near = _beyond_wrist(numbers, points) > -FOREARM_M
     if near.sum() < LEAST_POINTS:
-        raise BadMesh("E-SCAN", where, f"{near.sum()} points beyond the wrist; the landmarks are of another frame or unit")
+        raise BadMesh(
+            "E-SCAN", where, f"{near.sum()} points beyond the wrist; the landmarks are of another frame or unit"
+        )
     points, normals = points[near], normals[near]
     numbers = warp_to_points(warp, numbers, points, normals)
     residual = _residual(where, warp, numbers, points)
@@ -135,7 +139,9 @@ def _residual(where: str, warp: Warp, numbers: Array, points: Array) -> dict[str
     for number, part in enumerate((*PARTS, "all")):
         of = distance if part == "all" else distance[link == number]
         if len(of) < LEAST_OF_PART:
-            raise BadMesh("E-SCAN-FIT", where, f"{len(of)} points of {part}; the scan lacks it or its landmarks are wrong")
+            raise BadMesh(
+                "E-SCAN-FIT", where, f"{len(of)} points of {part}; the scan lacks it or its landmarks are wrong"
+            )
         found[part] = {"p50": float(np.median(of)), "p99": float(np.quantile(of, 0.99)), "max": float(of.max())}
     worst = max(found, key=lambda part: found[part]["p99"])
     if found[worst]["p99"] > LARGEST_P99_MM:

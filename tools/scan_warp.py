@@ -53,9 +53,7 @@ class Warp:
         stretched = size * np.exp(finger[:, LENGTH])[..., None] * bone
         placed = np.cumsum(np.concatenate([palm * chain[:, :1], stretched], axis=1), axis=1)
         axes = (placed[:, :3], hand.flexion_axis, hand.abduction_axis)
-        turn, shift = (
-            part[0] for part in link_motions(*axes, finger[None, :, FLEXION], finger[None, :, ABDUCTION])
-        )
+        turn, shift = (part[0] for part in link_motions(*axes, finger[None, :, FLEXION], finger[None, :, ABDUCTION]))
         along = bone / np.linalg.norm(bone, axis=2, keepdims=True)
         thick = size * np.exp(np.stack([finger[:, 7], finger[:, 7:].mean(axis=1), finger[:, 8]], axis=1))
         length = size * np.exp(finger[:, LENGTH])
@@ -63,14 +61,14 @@ class Warp:
             along[..., :, None] * along[..., None, :]
         )
         scale = np.concatenate([np.diag(palm)[None], stretch.reshape(15, 3, 3)])
-        move = np.concatenate([np.zeros((1, 3)), (placed[:, :3] - np.einsum("fjab,fjb->fja", stretch, chain[:, :3])).reshape(15, 3)])
+        move = np.concatenate(
+            [np.zeros((1, 3)), (placed[:, :3] - np.einsum("fjab,fjb->fja", stretch, chain[:, :3])).reshape(15, 3)]
+        )
         world = Rotation.from_rotvec(numbers[TURN]).as_matrix()
         linear = world @ turn
         at = np.einsum("lab,lb->la", linear, move) + shift @ world.T + numbers[SHIFT]
         full = linear @ scale
-        ends = np.concatenate(
-            [placed[:, :3], placed[:, 3:]], axis=1
-        )
+        ends = np.concatenate([placed[:, :3], placed[:, 3:]], axis=1)
         owner = 1 + 3 * np.arange(5)[:, None] + np.array([0, 1, 2, 2])
         chains = np.einsum("fjab,fjb->fja", linear[owner], ends) + (shift @ world.T + numbers[SHIFT])[owner]
         flexion = np.einsum("fjab,fjb->fja", linear[owner[:, :3]], hand.flexion_axis)

@@ -90,7 +90,10 @@ def build(
 @app.command("fit-hand")
 def fit_hand(
     hand: Annotated[
-        Path, typer.Argument(metavar="HAND.glb", help="Rigged hand: GLB or glTF with a skin; any mesh with --joints, a scan with --to.")
+        Path,
+        typer.Argument(
+            metavar="HAND.glb", help="Rigged hand: GLB or glTF with a skin; any mesh with --joints, a scan with --to."
+        ),
     ],
     *,
     out: OutFile,

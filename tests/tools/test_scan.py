@@ -73,7 +73,11 @@ def scan(fitted):
         return SIZE * TURN.apply(own.reshape(-1, 3)).reshape(own.shape) + SHIFT_M
 
     marks = place(np.vstack([np.zeros(3), tips])) + 2e-3 * rng.normal(size=(6, 3))
-    return place(points), dict(zip(["wrist", *(f"{f}-tip" for f in FINGERS)], marks.tolist(), strict=True)), place(joints)
+    return (
+        place(points),
+        dict(zip(["wrist", *(f"{f}-tip" for f in FINGERS)], marks.tolist(), strict=True)),
+        place(joints),
+    )
 
 
 def write_cloud(path, points):
