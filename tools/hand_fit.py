@@ -56,8 +56,9 @@ def fit_hand(
 ) -> dict[str, Any]:
     """Fit a rigged hand and write it as a pack without objects, which `build` takes as a hand.
 
-    joints_path: places of joints, for a mesh without a skin (`rig_of_joints`); scan_to, landmarks: a fitted hand that is warped onto
-    a scan, and where the scan's wrist and fingertips are (`rig_of_scan`); report: a folder for `write_fit_report`.
+    joints_path: places of joints, for a mesh without a skin (`rig_of_joints`); scan_to, landmarks: a fitted hand that
+    is warped onto a scan, and where the scan's wrist and fingertips are (`rig_of_scan`); report: a folder for
+    `write_fit_report`.
     Returns {"out", "sha256", "hand": what the pack says of it, "poses": its errors pose by pose (`hand_quality`)}.
     Raises BadMesh, BadPack or PalmarError; nothing is written then.
     """

@@ -145,7 +145,7 @@ def _residual(where: str, warp: Warp, numbers: Array, points: Array) -> dict[str
         found[part] = {"p50": float(np.median(of)), "p99": float(np.quantile(of, 0.99)), "max": float(of.max())}
     worst = max(found, key=lambda part: found[part]["p99"])
     if found[worst]["p99"] > LARGEST_P99_MM:
-        what = f"{found[worst]['p99']:.1f} mm (p99) from {worst} to the warped hand; at most {LARGEST_P99_MM:g} mm is taken"
+        what = f"{found[worst]['p99']:.1f} mm (p99) from {worst} to the warped hand; {LARGEST_P99_MM:g} mm is allowed"
         raise BadMesh("E-SCAN-FIT", where, f"{what}: check landmarks, side and --units")
     return found
 
@@ -175,7 +175,7 @@ def _moved_onto(warp: Warp, numbers: Array, points: Array, normals: Array) -> Ar
 
 
 def _rig(where: str, warp: Warp, numbers: Array, vertices: Array, scale: float) -> Rig:
-    """The warped hand as a rigged file would give it; its rim goes a little down the forearm, to be cut at the wrist."""
+    """The warped hand as a rigged file would give it; its rim goes down the forearm, to be cut at the wrist."""
     mesh = warp.hand.mesh
     assert mesh is not None
     _, _, chains, flexion = warp.links(numbers)
