@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 CLOUDS = (".xyz", ".pts", ".pcd")  # and .ply without faces
 LANDMARKS = ("wrist", *(f"{finger}-tip" for finger in FINGERS))
+KNUCKLES = ("thumb-metacarpal", *(f"{finger}-proximal" for finger in FINGERS[1:]))  # may be given
 VOXEL_M = 1.5e-3
 LEAST_POINTS = 2000
 LEAST_OF_PART = 15  # points of a phalanx
@@ -53,7 +54,7 @@ def rig_of_scan(path: str | Path, to: str | Path, landmarks: str | Path, units: 
     places = _landmarks(landmarks, scale)
     points, normals = clean_scan(where, _read_points(where, units))
     warp = make_warp(hand)
-    numbers = warp_to_landmarks(warp, places[0], places[1:])
+    numbers = warp_to_landmarks(warp, places[0], places[1:6], places[6:])
     near = _beyond_wrist(numbers, points) > -FOREARM_M
     if near.sum() < LEAST_POINTS:
         raise BadMesh(
@@ -114,13 +115,13 @@ def _is_cloud(path: Path) -> bool:
 
 
 def _landmarks(path: str | Path, scale: float) -> Array:
-    """Wrist and five fingertips (6, 3) in metres."""
+    """Wrist, five fingertips and five knuckles (11, 3) in metres; nan for a knuckle that is not given."""
     roles = {role_of(name)[0]: place for name, place in read_joints(path).items()}
     missing = [name for name in LANDMARKS if name not in roles]
     if missing:
         found = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
         raise BadPack("E-CONF", str(path), f"{found}; needed are {', '.join(LANDMARKS)}")
-    return scale * np.array([roles[name] for name in LANDMARKS])
+    return scale * np.array([roles.get(name, [np.nan] * 3) for name in (*LANDMARKS, *KNUCKLES)])
 
 
 def _beyond_wrist(numbers: Array, points: Array) -> Array:

@@ -109,21 +109,23 @@ def bounds_of(warp: Warp) -> tuple[Array, Array]:
     return low, high
 
 
-def warp_to_landmarks(warp: Warp, wrist: Array, tips: Array) -> Array:
-    """Numbers that bring wrist and fingertips (5, 3) to their places, with as little bent as that needs."""
+def warp_to_landmarks(warp: Warp, wrist: Array, tips: Array, knuckles: Array) -> Array:
+    """Numbers that bring wrist, fingertips and knuckles (5, 3) there, bent as little as that needs; nan: not given."""
     low, high = bounds_of(warp)
     start = np.zeros(COUNT)
     start.reshape(-1)[10:].reshape(5, PER_FINGER)[:, FLEXION] = np.radians([[15.0, 20.0, 10.0]])
-    places = np.vstack([wrist, tips])
-    own = np.vstack([np.zeros(3), warp.links(start)[2][:, 3]])
-    # The palm's middle weighs more than any fingertip, which may be bent.
+    given = np.isfinite(knuckles[:, 0])
+    places = np.vstack([wrist, tips, knuckles[given]])
+    chains = warp.links(start)[2]
+    own = np.vstack([np.zeros(3), chains[:, 3], chains[given, 0]])
     turn, _ = Rotation.align_vectors(places - places.mean(axis=0), own - own.mean(axis=0))
     start[TURN], start[SHIFT] = turn.as_rotvec(), places.mean(axis=0) - turn.apply(own.mean(axis=0))
 
     def off(numbers: Array) -> Array:
         finger = numbers[10:].reshape(5, PER_FINGER)
         flexion = finger[:, FLEXION]
-        ends = np.vstack([numbers[SHIFT], warp.links(numbers)[2][:, 3]])
+        chains = warp.links(numbers)[2]
+        ends = np.vstack([numbers[SHIFT], chains[:, 3], chains[given, 0]])
         return np.concatenate(
             [
                 ((ends - places) / 3e-3).ravel(),
