@@ -68,9 +68,8 @@ class Warp:
         linear = world @ turn
         at = np.einsum("lab,lb->la", linear, move) + shift @ world.T + numbers[SHIFT]
         full = linear @ scale
-        ends = np.concatenate([placed[:, :3], placed[:, 3:]], axis=1)
         owner = 1 + 3 * np.arange(5)[:, None] + np.array([0, 1, 2, 2])
-        chains = np.einsum("fjab,fjb->fja", linear[owner], ends) + (shift @ world.T + numbers[SHIFT])[owner]
+        chains = np.einsum("fjab,fjb->fja", linear[owner], placed) + (shift @ world.T + numbers[SHIFT])[owner]
         flexion = np.einsum("fjab,fjb->fja", linear[owner[:, :3]], hand.flexion_axis)
         maps = full @ self.back_turn
         return maps, np.einsum("lab,lb->la", full, self.back_shift) + at, chains, flexion
