@@ -148,13 +148,15 @@ void Session::come_near(double joint_step_rad) {
 
 // An object that an application puts elsewhere leaves the hand where it is in the world: the poses of the last step, as
 // the object sees them from its new place. One that only moves, however fast, pushes the hand: the solver sweeps it.
-// True if it was put elsewhere.
+// One that moves along with the haptic hand is carried by it. True if it was put elsewhere.
 bool Session::follow_object(const Placement& before) {
   const Quat from = to_quat(before.rotation_wxyz).normalized(), to = to_quat(placed_.rotation_wxyz).normalized();
   const Quat turn = to.conjugate() * from;
   const Vec3 shift = to.conjugate() * (to_vec3(before.position_m) - to_vec3(placed_.position_m));
   const Vec3 center = turn * object_.center + shift - object_.center;
-  if (center.norm() + rotation_log(turn).norm() * object_.radius <= settings_.object_jump_m) return false;
+  const double object_moved = center.norm() + rotation_log(turn).norm() * object_.radius;
+  const double hand_moved = (haptic_.position - haptic_before_.position).norm();  // seen from the object
+  if (std::min(object_moved, hand_moved) <= settings_.object_jump_m) return false;
   const auto seen = [&](Configuration q) {
     q.position = turn * q.position + shift;
     q.rotation = (turn * q.rotation).normalized();
