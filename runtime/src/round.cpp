@@ -318,16 +318,13 @@ RoundEnd Round::run() {
   for (bool bends : {bend(way, bent, bent_wish), false}) {
     Change step;
     double fraction = 1.0;
-    bool good = false;
+    bool good = false, solved = false;
     Contacts contacts{};
     for (int k = 0; k < kRowRounds; ++k) {
       const QpResult result = programme(start_placement, start, work.gap.data(), bends ? bent : springs,
                                         bends ? bent_wish : way, allowed, near, false);
-      if (result.status != QpStatus::solved) {
-        if (k > 0) break;  // some way along the last answer may do
-        end.failed = true;
-        return end;
-      }
+      if (result.status != QpStatus::solved) break;  // some way along the last answer may do, if there is one
+      solved = true;
       step = result.x;
       fraction = 1.0;
       contacts = remember_active(result);
@@ -339,7 +336,9 @@ RoundEnd Round::run() {
       good = verify_within(moved(start, step, 1.0), step, fraction);
       if (good || !want_more_rows()) break;
     }
-    if (advance_along(step, fraction, good, contacts.whole, bends && contacts.known) || !bends) break;
+    end.failed = !solved;
+    if (solved && advance_along(step, fraction, good, contacts.whole, bends && contacts.known)) break;
+    if (!bends) break;
   }
   return end;
 }
