@@ -148,20 +148,24 @@ def nearest_above_a_row(way_m, pitch_m, reach_m):
     return np.where((length < reach_m)[:, None], on, way_m)
 
 
-@pytest.mark.parametrize(("rate_hz", "most"), [(1000, 2.0), (4000, 0.15)])
+@pytest.mark.parametrize(("rate_hz", "most"), [(1000, 0.35), (4000, 0.03)])
 def test_sampling_alone_makes_energy_between_spheres(make_pack, make_run, rate_hz, most):
     """The exact projection, 2 mm deep and 30 mm to and fro over a row of spheres: nothing is made but by sampling."""
     reach = 0.01  # of a fingertip of 7 mm on spheres of 3 mm
     u = np.linspace(0, 1, int(0.3 * rate_hz) + 1)
-    there = 0.015 - 0.03 * u**3 * (10 + u * (6 * u - 15))
     down = reach + 0.003 - 0.005 * np.linspace(0, 1, int(0.2 * rate_hz) + 1)
-    x = np.concatenate([np.full(len(down), there[0]), there, there[::-1], np.full(len(down), there[0])])
-    z = np.concatenate([down, np.full(2 * len(u), down[-1]), down[::-1]])
-    way = np.column_stack([x, z])
-    on = nearest_above_a_row(way, 0.003, reach)
-    place = lambda points: np.insert(points, 1, 0.0, axis=1)  # noqa: E731
-    run = make_run(len(way), palm_position_m=place(on), haptic_palm_position_m=place(way))
-    run = replace(run, palm_force_n=K * place(on - way))
-    made = energy_generated(case_of(run, make_pack)).max()
-    print(f"{rate_hz} Hz: {made:.3g} %")
-    assert made < most  # per cent; the closed form over six phases of the sampling: 1.9 and 0.13
+    made = []
+    for phase in range(6):  # where between two spheres the samples begin
+        there = 0.015 + 0.0005 * phase - 0.03 * u**3 * (10 + u * (6 * u - 15))
+        x = np.concatenate([np.full(len(down), there[0]), there, there[::-1], np.full(len(down), there[0])])
+        z = np.concatenate([down, np.full(2 * len(u), down[-1]), down[::-1]])
+        way = np.column_stack([x, z])
+        on = nearest_above_a_row(way, 0.003, reach)
+        run = make_run(
+            len(way),
+            palm_position_m=np.insert(on, 1, 0.0, axis=1),
+            haptic_palm_position_m=np.insert(way, 1, 0.0, axis=1),
+        )
+        run = replace(run, palm_force_n=K * np.insert(on - way, 1, 0.0, axis=1))
+        made.append(energy_generated(case_of(run, make_pack)).max())
+    assert max(made) < most  # per cent; 0.28 and 0.023 are what the closed form makes, and some for rounding
