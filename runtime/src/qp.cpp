@@ -11,6 +11,7 @@ namespace palmar {
 namespace {
 
 constexpr int kRowVariables = kPalmVariables + kFingerVariables;
+constexpr double kLeastStart = 1e-8;  // of its own length that a row to begin with must have of its own
 
 struct ActiveRow {
   double g[kRowVariables];
@@ -139,6 +140,50 @@ struct Solver {
     factor_from(j);
   }
 
+  // Makes those of the rows active that are independent and that the answer to all of them as equations presses: where
+  // every multiplier is above zero the dual method may go on from there as if it had come there itself.
+  void begin_with(const QpStart& start, Change& x) {
+    for (int k = 0; k < start.count && count < kVariables; ++k) {
+      const int row = start.row[k];
+      ActiveRow& p = active[count];
+      p = row >= 0 ? row_at(row, finger_of(row)) : bound_at((-1 - row) / 2, (-1 - row) % 2 == 1);
+      double left = s[count][count] = product(p, p);
+      const double own = left;
+      for (int j = 0; j < count; ++j) {
+        double sum = s[count][j] = product(active[j], p);
+        for (int i = 0; i < j; ++i) sum -= l[count][i] * l[j][i];
+        l[count][j] = sum / l[j][j];
+        left -= l[count][j] * l[count][j];
+      }
+      if (!(left > kLeastStart * own)) continue;
+      l[count][count] = std::sqrt(left);
+      ++count;
+    }
+    while (count > 0) {
+      for (int j = 0; j < count; ++j) {
+        double sum = active[j].b - value(active[j], problem.target);
+        for (int k = 0; k < j; ++k) sum -= l[j][k] * u[k];
+        u[j] = sum / l[j][j];
+      }
+      for (int j = count; j-- > 0;) {
+        for (int k = j + 1; k < count; ++k) u[j] -= l[k][j] * u[k];
+        u[j] /= l[j][j];
+      }
+      int pulling = 0;
+      for (int j = 1; j < count; ++j)
+        if (u[j] < u[pulling]) pulling = j;
+      if (u[pulling] >= 0) break;
+      drop(pulling);
+    }
+    if (count > 0) refine(x);
+  }
+
+  int finger_of(int row) const {
+    int group = 0;
+    while (row >= rows.group_start[group + 1]) ++group;
+    return group - 1;
+  }
+
   ActiveRow row_at(int i, int finger) const {
     ActiveRow p;
     for (int k = 0; k < kRowVariables; ++k) p.g[k] = rows.g[k][i];
@@ -212,7 +257,7 @@ QpRows::QpRows(int capacity_) : capacity(capacity_), b(capacity_) {
 }
 
 QpResult solve_qp(const QpProblem& problem, const QpRows& rows, double tolerance, int iteration_limit,
-                  double* violation) {
+                  double* violation, const QpStart& start) {
   Solver solver(problem, rows, tolerance, violation);
   QpResult result;
   result.x = problem.target;
@@ -226,6 +271,7 @@ QpResult solve_qp(const QpProblem& problem, const QpRows& rows, double tolerance
     return result;
   };
 
+  if (start.count > 0) solver.begin_with(start, result.x);
   ActiveRow n;
   bool refined = false;
   for (;;) {

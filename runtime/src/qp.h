@@ -58,6 +58,12 @@ struct QpProblem {
   Change lower, upper;  // joint limits on x
 };
 
+// Rows and bounds (as in QpResult) that are likely to hold the answer: where the search begins. They do not change it.
+struct QpStart {
+  std::array<std::int32_t, kVariables> row;
+  int count = 0;
+};
+
 enum class QpStatus { solved, iteration_limit, infeasible };
 
 struct QpResult {
@@ -76,6 +82,6 @@ struct QpResult {
 // programs", 1983), in range-space form: H is an arrow, so the matrix of active rows S = A H^-1 A' costs ten products
 // an entry, and only its Cholesky factor is kept. `violation` is scratch of rows.capacity. Rows are met to `tolerance`.
 QpResult solve_qp(const QpProblem& problem, const QpRows& rows, double tolerance, int iteration_limit,
-                  double* violation);
+                  double* violation, const QpStart& start = {});
 
 }  // namespace palmar

@@ -18,6 +18,7 @@ constexpr std::uint32_t kVerifyOperations = 75;      // but for the gaps
 constexpr std::uint32_t kProgrammeOperations = 225;  // but for
 constexpr std::uint32_t kRowOperations = 4;          // each row, and
 constexpr std::uint32_t kIterationOperations = 36;   // each iteration but for its rows
+constexpr std::uint32_t kStartOperations = 12;       // each row that it begins with
 
 double cost(const Change& weight, const Change& d) {
   double sum = 0;
@@ -104,6 +105,30 @@ double Round::near_limit(int link, const double* gap) const {
   return limit;
 }
 
+QpStart Round::held_by(const Change& lower) const {
+  QpStart start;
+  for (int k = 0; k < state.pressing_count; ++k) {
+    const Pressing& p = state.pressing[k];
+    const int group = p.link == 0 ? 0 : 1 + (p.link - 1) / kPhalanges;
+    for (int row = work.rows.group_start[group]; row < work.rows.group_start[group + 1]; ++row) {
+      const int pair = work.row_candidate[row];
+      if (work.candidates.object_sphere[pair] != p.object_sphere || work.candidates.link_of(pair) != p.link ||
+          work.candidates.palm_sphere[pair] != p.palm_sphere)
+        continue;
+      start.row[start.count++] = row;
+      break;
+    }
+  }
+  for (int v = 0; v < kVariables && start.count < kVariables; ++v) {
+    const int low = int(at_step_bound >> (2 * v) & 1), high = int(at_step_bound >> (2 * v + 1) & 1);
+    if (state.at_limit >> v & 1)
+      start.row[start.count++] = -1 - (2 * v + (lower[v] == 0 ? 0 : 1));
+    else if (low || high)
+      start.row[start.count++] = -1 - (2 * v + high);
+  }
+  return start;
+}
+
 // The programme at a pose: towards `wish`, no variable carrying a link farther than it is allowed, with a row for
 // each pair within `near` of its link or named in work.wanted.
 QpResult Round::programme(const HandPlacement& at, const Configuration& q, const double* gap, const Metric& metric,
@@ -123,24 +148,27 @@ QpResult Round::programme(const HandPlacement& at, const Configuration& q, const
   problem.target = wish;
   problem.bound = step_bound = variable_bounds(scene.hand, allowed);
   joint_room(q, problem.lower, problem.upper);
-  work.operations += kProgrammeOperations + kRowOperations * std::uint32_t(work.rows.count);
+  // A correction goes somewhere else, and what presses says nothing of it.
+  const QpStart held = push_out ? QpStart{} : held_by(problem.lower);
+  work.operations += kProgrammeOperations + kRowOperations * std::uint32_t(work.rows.count) +
+                     kStartOperations * std::uint32_t(held.count);
   const std::uint32_t each = kIterationOperations + std::uint32_t(work.rows.count) / 8;
   const int iterations = std::min(s.qp_iterations, int(work.left() / each));
-  const QpResult result = solve_qp(problem, work.rows, 1e-9, iterations, work.violation.data());
+  const QpResult result = solve_qp(problem, work.rows, 1e-9, iterations, work.violation.data(), held);
   work.operations += each * std::uint32_t(std::min(result.iterations, iterations));
   work.solve_us += microseconds_since(start);
   return result;
 }
 
-// Names, of the pairs of each link that the trial pose sinks into and that had no row, the kRowsMore deepest: their
-// rows keep most of the others out. True if there are any.
-bool Round::want_more_rows() {
+// Names, of the pairs of each link that the trial pose sinks into and that had no row, being beyond `near` where the
+// programme was made, the kRowsMore deepest: their rows keep most of the others out. True if there are any.
+bool Round::want_more_rows(const PerLink& near) {
   const int before = work.wanted_count;
   for (int link = 0; link < kLinks; ++link) {
     std::array<int, kRowsMore> deepest;
     int count = 0;
     for (int i = work.candidates.begin(link); i < work.candidates.end(link); ++i) {
-      if (work.trial_gap[i] >= 0 || work.wanted[i]) continue;
+      if (work.trial_gap[i] >= 0 || work.gap[i] <= near[link] || work.wanted[i]) continue;
       // Of two that are as deep to a nanometre the first in the list, so that rounding does not choose.
       const auto deeper = [&](int than) { return work.trial_gap[i] < work.trial_gap[than] - 1e-9; };
       if (count == kRowsMore && !deeper(deepest[count - 1])) continue;
@@ -166,7 +194,6 @@ bool Round::restore(const PerLink& allowed) {
     const Configuration here = trial;
     PerLink near;
     for (int link = 0; link < kLinks; ++link) near[link] = near_limit(link, work.trial_gap.data());
-    want_more_rows();
     const QpResult result =
         programme(trial_placement, here, work.trial_gap.data(), springs, Change{}, allowed, near, true);
     if (result.status != QpStatus::solved) return false;
@@ -192,6 +219,7 @@ Round::Contacts Round::remember_active(const QpResult& result) {
   const int count_before = state.pressing_count;
   const std::uint32_t at_limit_before = state.at_limit;
   bool whole = true;
+  at_step_bound = 0;
   work.active_count = 0;
   state.pressing_count = 0;
   state.at_limit = 0;
@@ -201,8 +229,10 @@ Round::Contacts Round::remember_active(const QpResult& result) {
       const int variable = (-1 - row) / 2;
       if (std::abs(result.x[variable]) < 1e-12)
         state.at_limit |= 1u << variable;
-      else
+      else {
+        at_step_bound |= 1ull << (-1 - row);
         whole &= std::abs(result.x[variable]) < 0.999 * step_bound[variable];  // or it is its rate that ends it
+      }
       continue;
     }
     const int pair = work.row_candidate[row];
@@ -300,6 +330,7 @@ RoundEnd Round::run() {
   };
 
   want_none();
+  at_step_bound = 0;
   if (!touching) {
     work.active_count = state.pressing_count = 0;
     state.at_limit = 0;
@@ -334,7 +365,7 @@ RoundEnd Round::run() {
         continue;
       }
       good = verify_within(moved(start, step, 1.0), step, fraction);
-      if (good || !want_more_rows()) break;
+      if (good || !want_more_rows(near)) break;
     }
     end.failed = !solved;
     if (solved && advance_along(step, fraction, good, contacts.whole, bends && contacts.known)) break;

@@ -31,7 +31,8 @@ struct Round {
   Configuration begin;  // of the step
   AngleRates rate;
 
-  Change step_bound{};  // of the last programme
+  Change step_bound{};             // of the last programme
+  std::uint64_t at_step_bound = 0;  // bit 2 v + side: its answer held variable v at that bound
   Configuration trial{};
   HandPlacement trial_placement{};
   double trial_least = 0;    // its smallest gap
@@ -48,7 +49,8 @@ struct Round {
   bool bend(const Change& way, Metric& metric, Change& wish) const;
   QpResult programme(const HandPlacement& at, const Configuration& q, const double* gap, const Metric& metric,
                      const Change& wish, const PerLink& allowed, const PerLink& near, bool push_out);
-  bool want_more_rows();
+  QpStart held_by(const Change& lower) const;  // of the last programme's active rows and bounds, those that are in this one
+  bool want_more_rows(const PerLink& near);
   void want_none();
   bool restore(const PerLink& allowed);
   Configuration moved(const Configuration& q, const Change& change, double share) const;
