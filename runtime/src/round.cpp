@@ -322,8 +322,15 @@ RoundEnd Round::run() {
       }
       end.failed = !good;
       if (attempt + 1 == kAttempts) break;
-      // A quarter of the way has a sixteenth of the error.
-      fraction *= 0.25;
+      // A quarter of the way has a sixteenth of the error. What costs more than where it began is past the parabola's
+      // least through both.
+      double share = 0.25;
+      if (good) {
+        double slope = 0;
+        for (int v = 0; v < kVariables; ++v) slope -= fraction * weight[v] * way[v] * step[v];
+        share = std::clamp(-0.5 * slope / (cost(weight, difference(haptic, trial)) - start_cost - slope), 0.0625, 0.5);
+      }
+      fraction *= share;
       good = verify_within(moved(start, step, fraction), step, fraction);
     }
     return false;
