@@ -44,7 +44,7 @@ struct Solver {
   std::array<ActiveRow, kVariables> active;
   int count = 0;
   double s[kVariables][kVariables];  // A H^-1 A' of the active rows (lower part)
-  double l[kVariables][kVariables];  // its Cholesky factor
+  double l[kVariables][kVariables];  // its Cholesky factor, but on the diagonal one over it
   std::array<double, kVariables> u;  // multipliers
 
   // Fills p.h from p.g.
@@ -109,11 +109,11 @@ struct Solver {
       for (int j = 0; j < count; ++j) {
         double sum = active[j].b - value(active[j], x);
         for (int k = 0; k < j; ++k) sum -= l[j][k] * w[k];
-        w[j] = sum / l[j][j];
+        w[j] = sum * l[j][j];
       }
       for (int j = count; j-- > 0;) {
         for (int k = j + 1; k < count; ++k) w[j] -= l[k][j] * w[k];
-        w[j] /= l[j][j];
+        w[j] *= l[j][j];
         u[j] = std::max(0.0, u[j] + w[j]);
       }
     }
@@ -124,7 +124,7 @@ struct Solver {
       for (int j = 0; j <= i; ++j) {
         double sum = s[i][j];
         for (int k = 0; k < j; ++k) sum -= l[i][k] * l[j][k];
-        l[i][j] = i == j ? std::sqrt(std::max(sum, std::numeric_limits<double>::min())) : sum / l[j][j];
+        l[i][j] = i == j ? 1.0 / std::sqrt(std::max(sum, std::numeric_limits<double>::min())) : sum * l[j][j];
       }
     }
   }
@@ -152,22 +152,22 @@ struct Solver {
       for (int j = 0; j < count; ++j) {
         double sum = s[count][j] = product(active[j], p);
         for (int i = 0; i < j; ++i) sum -= l[count][i] * l[j][i];
-        l[count][j] = sum / l[j][j];
+        l[count][j] = sum * l[j][j];
         left -= l[count][j] * l[count][j];
       }
       if (!(left > kLeastStart * own)) continue;
-      l[count][count] = std::sqrt(left);
+      l[count][count] = 1.0 / std::sqrt(left);
       ++count;
     }
     while (count > 0) {
       for (int j = 0; j < count; ++j) {
         double sum = active[j].b - value(active[j], problem.target);
         for (int k = 0; k < j; ++k) sum -= l[j][k] * u[k];
-        u[j] = sum / l[j][j];
+        u[j] = sum * l[j][j];
       }
       for (int j = count; j-- > 0;) {
         for (int k = j + 1; k < count; ++k) u[j] -= l[k][j] * u[k];
-        u[j] /= l[j][j];
+        u[j] *= l[j][j];
       }
       int pulling = 0;
       for (int j = 1; j < count; ++j)
@@ -293,13 +293,13 @@ QpResult solve_qp(const QpProblem& problem, const QpRows& rows, double tolerance
       for (int j = 0; j < q; ++j) {
         double sum = column[j];
         for (int k = 0; k < j; ++k) sum -= solver.l[j][k] * w[k];
-        w[j] = sum / solver.l[j][j];
+        w[j] = sum * solver.l[j][j];
         curvature -= w[j] * w[j];
       }
       for (int j = q; j-- > 0;) {
         double sum = w[j];
         for (int k = j + 1; k < q; ++k) sum -= solver.l[k][j] * r[k];
-        r[j] = sum / solver.l[j][j];
+        r[j] = sum * solver.l[j][j];
       }
       // Below 1e-10 of its own length the new row is a combination of the active ones: twice the digits that the
       // factor of S keeps.
@@ -328,7 +328,7 @@ QpResult solve_qp(const QpProblem& problem, const QpRows& rows, double tolerance
           solver.l[q][j] = w[j];
         }
         solver.s[q][q] = own;
-        solver.l[q][q] = std::sqrt(curvature);
+        solver.l[q][q] = 1.0 / std::sqrt(curvature);
         ++solver.count;
         break;
       }
