@@ -140,9 +140,14 @@ QpResult Round::programme(const HandPlacement& at, const Configuration& q, const
   }
   const auto start = Clock::now();
   const Settings& s = scene.settings;
-  // Rows that do not fit are left out: whether they were needed is seen at the trial pose.
-  linearise(work.candidates, at, gap, near, work.wanted.data(), s.aim_m, push_out, work.rows,
-            work.row_candidate.data());
+  // Rows that do not fit are left out: whether they were needed is seen at the trial pose. Those of a round's start
+  // stay as they are until more are wanted.
+  if (push_out || rows_wanted != work.wanted_count) {
+    linearise(work.candidates, at, gap, near, work.wanted.data(), s.aim_m, push_out, work.rows,
+              work.row_candidate.data());
+    work.operations += kRowOperations * std::uint32_t(work.rows.count);
+    rows_wanted = push_out ? -1 : work.wanted_count;
+  }
   QpProblem problem;
   problem.metric = metric;
   problem.target = wish;
@@ -150,8 +155,7 @@ QpResult Round::programme(const HandPlacement& at, const Configuration& q, const
   joint_room(q, problem.lower, problem.upper);
   // A correction goes somewhere else, and what presses says nothing of it.
   const QpStart held = push_out ? QpStart{} : held_by(problem.lower);
-  work.operations += kProgrammeOperations + kRowOperations * std::uint32_t(work.rows.count) +
-                     kStartOperations * std::uint32_t(held.count);
+  work.operations += kProgrammeOperations + kStartOperations * std::uint32_t(held.count);
   const std::uint32_t each = kIterationOperations + std::uint32_t(work.rows.count) / 8;
   const int iterations = std::min(s.qp_iterations, int(work.left() / each));
   const QpResult result = solve_qp(problem, work.rows, 1e-9, iterations, work.violation.data(), held);
@@ -338,6 +342,8 @@ RoundEnd Round::run() {
 
   want_none();
   at_step_bound = 0;
+  rows_wanted = -1;
+  work.bent_count = 0;
   if (!touching) {
     work.active_count = state.pressing_count = 0;
     state.at_limit = 0;

@@ -33,6 +33,7 @@ struct Round {
 
   Change step_bound{};             // of the last programme
   std::uint64_t at_step_bound = 0;  // bit 2 v + side: its answer held variable v at that bound
+  int rows_wanted = -1;             // how many rows were wanted when work.rows were made at the round's start, else -1
   Configuration trial{};
   HandPlacement trial_placement{};
   double trial_least = 0;    // its smallest gap
@@ -46,7 +47,8 @@ struct Round {
   void joint_room(const Configuration& q, Change& lower, Change& upper) const;
   double near_limit(int link, const double* gap) const;
   // The objective that knows how the pressing contacts bend, as its metric and its minimum; false if there is none.
-  bool bend(const Change& way, Metric& metric, Change& wish) const;
+  bool bend(const Change& way, Metric& metric, Change& wish);
+  const GapShape& shape_of(const Pressing& p);
   QpResult programme(const HandPlacement& at, const Configuration& q, const double* gap, const Metric& metric,
                      const Change& wish, const PerLink& allowed, const PerLink& near, bool push_out);
   QpStart held_by(const Change& lower) const;  // of the last programme's active rows and bounds, those that are in this one

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "contacts.h"
+#include "curvature.h"
 #include "force.h"
 #include "hand.h"
 #include "object.h"
@@ -70,6 +71,13 @@ struct ActiveContact {
   double multiplier;
 };
 
+// A pair that has pressed, and its shape at the pose of a round's start.
+struct BentPair {
+  int link;
+  std::uint32_t object_sphere, palm_sphere;
+  GapShape shape;
+};
+
 // Memory that a step works in, allocated once.
 struct Workspace {
   explicit Workspace(const Settings& settings);
@@ -81,6 +89,8 @@ struct Workspace {
   std::vector<std::uint8_t> wanted;         // pairs that get a row however far away, and
   std::vector<std::int32_t> wanted_pair;    // their numbers
   int wanted_count = 0;
+  std::array<BentPair, 2 * kVariables> bent;
+  int bent_count = 0;
   std::array<ActiveContact, kVariables> active;  // of the last programme that was accepted
   int active_count = 0;
   std::uint32_t operations = 0;       // of this step so far: nodes visited, gaps evaluated, rows made, programmes
