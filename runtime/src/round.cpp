@@ -132,7 +132,7 @@ QpStart Round::held_by(const Change& lower) const {
 // The programme at a pose: towards `wish`, no variable carrying a link farther than it is allowed, with a row for
 // each pair within `near` of its link or named in work.wanted.
 QpResult Round::programme(const HandPlacement& at, const Configuration& q, const double* gap, const Metric& metric,
-                          const Change& wish, const PerLink& allowed, const PerLink& near, bool push_out) {
+                          const Change& wish, const PerLink& allowed, const PerLink& near, double aim, bool push_out) {
   if (work.left() < kProgrammeOperations + kRowOperations * std::uint32_t(work.rows.capacity)) {
     QpResult none;
     none.status = QpStatus::iteration_limit;
@@ -143,8 +143,7 @@ QpResult Round::programme(const HandPlacement& at, const Configuration& q, const
   // Rows that do not fit are left out: whether they were needed is seen at the trial pose. Those of a round's start
   // stay as they are until more are wanted.
   if (push_out || rows_wanted != work.wanted_count) {
-    linearise(work.candidates, at, gap, near, work.wanted.data(), s.aim_m, push_out, work.rows,
-              work.row_candidate.data());
+    linearise(work.candidates, at, gap, near, work.wanted.data(), aim, push_out, work.rows, work.row_candidate.data());
     work.operations += kRowOperations * std::uint32_t(work.rows.count);
     rows_wanted = push_out ? -1 : work.wanted_count;
   }
@@ -192,14 +191,17 @@ void Round::want_none() {
   while (work.wanted_count > 0) work.wanted[work.wanted_pair[--work.wanted_count]] = 0;
 }
 
-// Moves the trial pose, which sinks in by a second-order error, the least way to where every gap is `aim` again.
+// Moves the trial pose, which sinks in by a second-order error, the least way to where every gap is again what a row
+// asks for, or four times as far outside as the worst was inside if that is less: the whole would cost more than a
+// small move gains.
 bool Round::restore(const PerLink& allowed) {
   for (int k = 0; k < scene.settings.corrections && trial_least < 0 && trial_known; ++k) {
     const Configuration here = trial;
+    const double aim = std::min(scene.settings.aim_m, -4 * trial_least);
     PerLink near;
     for (int link = 0; link < kLinks; ++link) near[link] = near_limit(link, work.trial_gap.data());
     const QpResult result =
-        programme(trial_placement, here, work.trial_gap.data(), springs, Change{}, allowed, near, true);
+        programme(trial_placement, here, work.trial_gap.data(), springs, Change{}, allowed, near, aim, true);
     if (result.status != QpStatus::solved) return false;
     if (verify(moved(here, result.x, 1.0))) return true;
   }
@@ -366,7 +368,7 @@ RoundEnd Round::run() {
     Contacts contacts{};
     for (int k = 0; k < kRowRounds; ++k) {
       const QpResult result = programme(start_placement, start, work.gap.data(), bends ? bent : springs,
-                                        bends ? bent_wish : way, allowed, near, false);
+                                        bends ? bent_wish : way, allowed, near, scene.settings.aim_m, false);
       if (result.status != QpStatus::solved) break;  // some way along the last answer may do, if there is one
       solved = true;
       step = result.x;

@@ -31,7 +31,7 @@ struct Round {
   Configuration begin;  // of the step
   AngleRates rate;
 
-  Change step_bound{};             // of the last programme
+  Change step_bound{};              // of the last programme
   std::uint64_t at_step_bound = 0;  // bit 2 v + side: its answer held variable v at that bound
   int rows_wanted = -1;             // how many rows were wanted when work.rows were made at the round's start, else -1
   Configuration trial{};
@@ -50,8 +50,9 @@ struct Round {
   bool bend(const Change& way, Metric& metric, Change& wish);
   const GapShape& shape_of(const Pressing& p);
   QpResult programme(const HandPlacement& at, const Configuration& q, const double* gap, const Metric& metric,
-                     const Change& wish, const PerLink& allowed, const PerLink& near, bool push_out);
-  QpStart held_by(const Change& lower) const;  // of the last programme's active rows and bounds, those that are in this one
+                     const Change& wish, const PerLink& allowed, const PerLink& near, double aim, bool push_out);
+  QpStart held_by(
+      const Change& lower) const;  // of the last programme's active rows and bounds, those that are in this one
   bool want_more_rows(const PerLink& near);
   void want_none();
   bool restore(const PerLink& allowed);
