@@ -7,14 +7,16 @@ namespace palmar {
 
 namespace {
 
-constexpr int kRowRounds = 8;       // programmes in a round, each with the rows that the last one lacked,
-constexpr int kRowsNear = 32;       // rows that a link gets unasked, and as many more as lie within twice aim_m,
-constexpr int kRowsMore = 4;        // and at most so many more each time
-constexpr double kRowNear = kLook;  // metres: a pair this near gets a row before it is asked for
-constexpr double kBend = 0.015;     // metres: with curvature, a move by m leaves about m^2 / kBend to go,
-constexpr double kWithout = 0.1;    // without it about this share of m
-constexpr int kAttempts = 3;        // trial poses along one direction: all of it, a quarter, a sixteenth
-constexpr std::uint32_t kVerifyOperations = 75;      // but for the gaps
+constexpr int kRowRounds = 8;           // programmes in a round, each with the rows that the last one lacked,
+constexpr int kRowsNear = 32;           // rows that a link gets unasked, and as many more as lie within twice aim_m,
+constexpr int kRowsMore = 4;            // and at most so many more each time
+constexpr double kRowNear = kLook;      // metres: a pair this near gets a row before it is asked for
+constexpr double kBend = 0.015;         // metres: with curvature, a move by m leaves about m^2 / kBend to go,
+constexpr double kWithout = 0.1;        // without it about this share of m
+constexpr double kRowTolerance = 1e-9;  // metres, to which a programme meets its rows
+constexpr double kLeastAim = 10 * kRowTolerance;
+constexpr int kAttempts = 3;                     // trial poses along one direction: all of it, a quarter, a sixteenth
+constexpr std::uint32_t kVerifyOperations = 75;  // but for the gaps
 constexpr std::uint32_t kProgrammeOperations = 225;  // but for
 constexpr std::uint32_t kRowOperations = 4;          // each row, and
 constexpr std::uint32_t kIterationOperations = 36;   // each iteration but for its rows
@@ -157,7 +159,7 @@ QpResult Round::programme(const HandPlacement& at, const Configuration& q, const
   work.operations += kProgrammeOperations + kStartOperations * std::uint32_t(held.count);
   const std::uint32_t each = kIterationOperations + std::uint32_t(work.rows.count) / 8;
   const int iterations = std::min(s.qp_iterations, int(work.left() / each));
-  const QpResult result = solve_qp(problem, work.rows, 1e-9, iterations, work.violation.data(), held);
+  const QpResult result = solve_qp(problem, work.rows, kRowTolerance, iterations, work.violation.data(), held);
   work.operations += each * std::uint32_t(std::min(result.iterations, iterations));
   work.solve_us += microseconds_since(start);
   return result;
@@ -197,7 +199,7 @@ void Round::want_none() {
 bool Round::restore(const PerLink& allowed) {
   for (int k = 0; k < scene.settings.corrections && trial_least < 0 && trial_known; ++k) {
     const Configuration here = trial;
-    const double aim = std::min(scene.settings.aim_m, -4 * trial_least);
+    const double aim = std::min(scene.settings.aim_m, std::max(kLeastAim, -4 * trial_least));
     PerLink near;
     for (int link = 0; link < kLinks; ++link) near[link] = near_limit(link, work.trial_gap.data());
     const QpResult result =
