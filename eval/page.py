@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 from html import escape
-from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
@@ -13,10 +11,10 @@ from plotly.offline import get_plotlyjs
 
 from palmar.eval.explain import MEANING
 from palmar.eval.panels import INPUT_BITS, Judged, hard_steps, panels, worst_steps
+from palmar.eval.texts import fill, read
 from palmar.eval.view3d import frame_steps, hand_shape, object_shape, pack_array, poses, three_js
 from palmar.model import FINGERS
 
-TEMPLATES = Path(__file__).parent / "template"
 SCRIPTS = ("view.js", "charts.js", "page.js")
 # Columns of the table over all runs: metric, stat.
 OVERVIEW = (
@@ -310,11 +308,3 @@ def json_object(text: str) -> dict[str, Any] | None:
         return json.loads(text)
     except ValueError:
         return None
-
-
-def read(name: str) -> str:
-    return (TEMPLATES / name).read_text(encoding="utf-8")
-
-
-def fill(template: str, **values: Any) -> str:
-    return Template(read(template)).substitute(values)

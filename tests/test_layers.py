@@ -9,7 +9,7 @@ TOP = Path(__file__).resolve().parents[1]
 SOURCE = TOP / "runtime" / "src"
 STAGES = ("tools", "traces", "eval")
 # Only these files of the package root know the stages.
-KNOW_ALL = ("cli_make", "cli_trace", "cli_judge", "calibrate", "importing", "demo", "check")
+KNOW_ALL = ("cli_make", "cli_trace", "cli_judge", "calibrate", "importing", "demo", "check", "chart", "chart_inputs")
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [
     "error records algebra crc32 cdr mcap wide",
@@ -31,7 +31,7 @@ DOORS = {
     "manifold3d": ["tools/close.py", "tools/hand_palm.py", "tools/lattice.py", "tools/shapes.py"],
     "open3d": ["tools/scan.py"],
     "OpenEXR": ["tools/exr.py"],
-    "matplotlib": ["eval/figures.py", "tools/cover_picture.py", "tools/hand_picture.py"],
+    "matplotlib": ["eval/chart_figures.py", "eval/figures.py", "tools/cover_picture.py", "tools/hand_picture.py"],
     "plotly": ["eval/page.py"],
     "pydantic": ["traces/scene_file.py"],
     "pygltflib": ["tools/gltf_skin.py"],
@@ -39,7 +39,7 @@ DOORS = {
     "safetensors": ["runtime/palmar/model.py"],
     "threadpoolctl": ["tools/hand_fit.py", "traces/finger_shape.py", "traces/inverse.py"],
     "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py", "tools/moved.py"],
-    "typer": [f"runtime/palmar/cli{name}.py" for name in ("", "_app", "_calibrate", "_make", "_trace", "_judge")],
+    "typer": [f"runtime/palmar/cli{name}.py" for name in ("", "_app", "_calibrate", "_make", "_trace", "_judge", "_chart")],
 }
 OF_FUNCTIONS = {"open3d", "pyvista"}
 
