@@ -23,6 +23,10 @@ MEANING = {
         "a solver that adds nothing."
     ),
     "excess_force_step": "Change of force in one step beyond what the motion of the haptic hand explains.",
+    "friction_force": (
+        "What of the palm's force no contact explains by pushing along its normal: friction, where there should be "
+        "none, or a step that has not converged. Small beside the force itself."
+    ),
     "still_force_step": "Change of force in a step while the input is constant.",
     "contact_toggles": "Changes of the set of contacts a second while the input is constant: chatter.",
     "force_above_20hz": "Part of the force above 20 Hz while sliding: what is felt as roughness.",

@@ -63,6 +63,21 @@ def still_force_step(case: Case) -> Array:
     return np.where(still, _from_second_step(_force_step(case).max(axis=1)), np.nan)
 
 
+def friction_force(case: Case) -> Array:
+    """(n,) N: what of the force on the palm no contact's force along its normal explains; NaN without a contact.
+
+    Contacts are without friction, and where a step has converged their forces add up to the palm's.
+    """
+    run = case.run
+    if not run.contact_force_n.any():
+        raise NotMeasured("the run states no contact forces")
+    step = np.repeat(np.arange(len(run.time_s)), np.diff(run.contact_start))
+    pushed = np.zeros((len(run.time_s), 3))
+    np.add.at(pushed, step, run.contact_force_n[:, None] * run.contact_normal)
+    left = np.linalg.norm(run.palm_force_n - pushed, axis=1)
+    return np.where(np.diff(run.contact_start) > 0, left, np.nan)
+
+
 def _force_step(case: Case) -> Array:
     """(n - 1, 5) N."""
     return np.linalg.norm(np.diff(case.run.fingertip_force_n, axis=0), axis=2)

@@ -112,6 +112,7 @@ METRICS: tuple[Metric, ...] = (
     Metric("force_variation", "%", "lower", force.force_variation, (Stat("mean", np.mean), Stat("std", np.std))),
     Metric("force_variation_ratio", "1", "lower", force.force_variation_ratio, (Stat("mean", np.mean, 1.05),)),
     Metric("excess_force_step", "N", "lower", force.excess_force_step, (Stat("max", np.max, 0.05),)),
+    Metric("friction_force", "N", "lower", force.friction_force, (Stat("p50", P50), Stat("p99", P99))),
     Metric("still_force_step", "N", "lower", force.still_force_step, (Stat("max", np.max, 0.0),)),
     Metric(
         "contact_toggles",

@@ -9,7 +9,10 @@ TOP = Path(__file__).resolve().parents[1]
 SOURCE = TOP / "runtime" / "src"
 STAGES = ("tools", "traces", "eval")
 # Only these files of the package root know the stages.
-KNOW_ALL = ("cli_make", "cli_trace", "cli_judge", "calibrate", "importing", "demo", "check", "chart", "chart_inputs")
+KNOW_ALL = (
+    *("cli_make", "cli_trace", "cli_judge", "cli_check", "calibrate", "importing", "demo", "check", "golden"),
+    *("chart", "chart_inputs", "compare", "matrix"),
+)
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [
     "error records algebra crc32 cdr mcap wide",
@@ -39,7 +42,7 @@ DOORS = {
     "safetensors": ["runtime/palmar/model.py"],
     "threadpoolctl": ["tools/hand_fit.py", "traces/finger_shape.py", "traces/inverse.py"],
     "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py", "tools/moved.py"],
-    "typer": [f"runtime/palmar/cli{name}.py" for name in ("", "_app", "_calibrate", "_make", "_trace", "_judge", "_chart")],
+    "typer": [f"runtime/palmar/cli{name}.py" for name in ("", "_app", "_calibrate", "_make", "_trace", "_judge", "_check", "_chart")],
 }
 OF_FUNCTIONS = {"open3d", "pyvista"}
 

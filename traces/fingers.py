@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from palmar.model import FINGERS
 from palmar.records import Trace
 
+PHASES = ("close", "slide")
 LIFT_M = 0.006  # of a palm that is not in use: past the press of the grasp and the reach of a step
 
 # As the paper's Fig. 15 counts them: what is in use, and whether the palm is.
@@ -22,9 +22,9 @@ IN_USE: dict[str, tuple[tuple[str, ...], bool]] = {
 
 
 def with_fingers(trace: Trace, fingers: Sequence[str], palm: bool) -> Trace:
-    """The trace with every other finger as open as at first and, without the palm, all of it LIFT_M farther off.
+    """The closing and sliding of a grasp with every other finger as open as at first and, without the palm, farther off.
 
-    Farther: towards where the palm of the first sample is, seen from that of the sample farthest from it.
+    By LIFT_M towards where the palm of the first sample is, seen from that of the sample farthest from it.
     """
     idle = [number for number, name in enumerate(FINGERS) if name not in fingers]
     flexion = trace.flexion_rad.copy()
@@ -34,4 +34,11 @@ def with_fingers(trace: Trace, fingers: Sequence[str], palm: bool) -> Trace:
         way = position[0] - position
         farthest = way[np.argmax(np.linalg.norm(way, axis=1))]
         position = position + LIFT_M * farthest / max(float(np.linalg.norm(farthest)), 1e-12)
-    return replace(trace, flexion_rad=flexion, palm_position_m=position)
+    ends = [phase[end] for phase in trace.phases if phase["name"] in PHASES for end in ("start_s", "end_s")]
+    at = np.ones(len(position), dtype=bool)
+    if ends:
+        at = (trace.time_s >= min(ends)) & (trace.time_s < max(ends))
+    columns = {name: getattr(trace, name)[at] for name in Trace.__dataclass_fields__ if name not in ("header", "lost")}
+    columns |= {"flexion_rad": flexion[at], "palm_position_m": position[at]}
+    header = {key: value for key, value in trace.header.items() if key != "phases"}
+    return Trace(header, **columns)

@@ -14,7 +14,7 @@ from palmar.records import read_trace, write_trace
 
 Progress = Callable[[str, float], None]
 
-DEFAULT_SHAPES = ("cylinder", "ears")
+DEFAULT_SHAPES = ("ears",)
 GRASP = "grasp"
 MOST_LEAVES = 10_000  # that a grasp is placed on: more cost minutes and move no finger
 

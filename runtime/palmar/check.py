@@ -18,7 +18,7 @@ from palmar.eval.case import Case
 from palmar.eval.metrics import margin_db, measure, worst_margin
 from palmar.eval.table import METRICS
 from palmar.files import nearest
-from palmar.model import AssetPack, load_pack, save_pack, write_whole
+from palmar.model import AssetPack, HandModel, SphereTree, load_pack, save_pack, write_whole
 from palmar.records import Run, read_run, write_trace
 from palmar.replay import replay_file
 from palmar.tools.hand_file import default_hand
@@ -156,7 +156,7 @@ def check_scenes(
                 _require_known(scene, where)
                 tree = object_of(json.dumps(scene.object, sort_keys=True))
                 pack = Path(folder) / "object.pack"
-                save_pack(pack, AssetPack(hand, {"object": tree}, {"tools": {}, "seed": 0}))
+                save_object(pack, hand, tree)
                 for tally in of_scene.values():
                     _run_case(Path(folder), pack, scene, case, tally, settings or {}, quick, out)
             if scene.same_end_force_n is not None:
@@ -192,16 +192,10 @@ def _run_case(
     out: Path | None,
 ) -> None:
     pack = load_pack(pack_path)
-    trace, run_path = folder / "scene.mcap", folder / "scene.run.mcap"
     about = {*ALWAYS, *scene.metrics}
     only = about | {name.split()[0] for name in scene.figures}
-    chosen = {"resample": "hold", "rate_hz": scene.rate_hz, **scene.settings, **settings, "solver": tally.solver}
     for start in range(min(scene.starts, QUICK_STARTS) if quick else scene.starts):
-        samples = key_trace(scene, pack.hand, start)
-        samples.header.update(scene=tally.scene, object="object", case=case)
-        write_trace(trace, samples)
-        replay_file(pack_path, trace, run_path, object_name="object", settings=chosen)
-        run = read_run(run_path)
+        run = replay_case(folder, pack_path, scene, (tally.scene, case, start), tally.solver, settings)
         rows, _ = measure(run, pack, "object", only=only)
         rows = [row if row["metric"] in about else {**row, "limit": None, "margin_db": None} for row in rows]
         if scene.end_offset_m is not None:
@@ -211,8 +205,35 @@ def _run_case(
             rows.append(_settled_row(Case(run, pack, "object"), scene.settled_after_steps))
         tally.see(run, case)
         if tally.take(rows, case, start, scene.figures) and out is not None:
-            for path, ending in ((pack_path, "pack"), (trace, "mcap"), (run_path, "run.mcap")):
+            for path, ending in zip((pack_path, *files_of(folder)), ("pack", "mcap", "run.mcap"), strict=True):
                 shutil.copyfile(path, out / f"{tally.scene}-{tally.solver}.{ending}")
+
+
+def replay_case(
+    folder: Path, pack_path: Path, scene: Sampled, place: tuple[str, str, int], solver: str, settings: dict[str, Any]
+) -> Run:
+    """Make the trace of a scene's case at a start, replay it, and read the run; both stay in the folder (`files_of`).
+
+    place: name of the scene, of the case, number of the start.
+    """
+    name, case, start = place
+    trace, run_path = files_of(folder)
+    chosen = {"resample": "hold", "rate_hz": scene.rate_hz, **scene.settings, **settings, "solver": solver}
+    samples = key_trace(scene, load_pack(pack_path).hand, start)
+    samples.header.update(scene=name, object="object", case=case)
+    write_trace(trace, samples)
+    replay_file(pack_path, trace, run_path, object_name="object", settings=chosen)
+    return read_run(run_path)
+
+
+def files_of(folder: Path) -> tuple[Path, Path]:
+    """Where `replay_case` puts trace and run."""
+    return folder / "scene.mcap", folder / "scene.run.mcap"
+
+
+def save_object(path: Path, hand: HandModel, tree: SphereTree) -> None:
+    """Write the pack of a scene."""
+    save_pack(path, AssetPack(hand, {"object": tree}, {"tools": {}, "seed": 0}))
 
 
 def _require_known(scene: Sampled, where: Path) -> None:

@@ -1,4 +1,4 @@
-"""Verbs that replay, judge and report."""
+"""Verbs that replay and report."""
 
 import sys
 from pathlib import Path
@@ -6,8 +6,7 @@ from typing import Annotated
 
 import typer
 
-from palmar.cli_app import FAILED, LOSS, Json, Object, OutFile, OutFolder, app, complain, parse_pairs
-from palmar.errors import PalmarError
+from palmar.cli_app import LOSS, Json, Object, OutFile, OutFolder, app, complain, parse_pairs
 
 
 @app.command()
@@ -86,47 +85,3 @@ def report(
         print_json(answer)
     else:
         print(*(f"{run['run']}: {run['verdict']}" for run in answer["runs"]), f"report: {answer['page']}", sep="\n")
-
-
-@app.command()
-def check(
-    scenes: Annotated[
-        list[str] | None, typer.Argument(metavar="SCENE...", help="Names of scenes or TOML files; the suite if none.")
-    ] = None,
-    *,
-    solver: Annotated[
-        list[str] | None, typer.Option("--solver", help="Name of a solver; may be repeated. progressive if left out.")
-    ] = None,
-    suite: Annotated[str, typer.Option("--suite", help="Scenes to take if none is named: stability.")] = "stability",
-    setting: Annotated[
-        list[str] | None, typer.Option("--set", help="key=value of any setting, over the scene's; may be repeated.")
-    ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="The first case of each scene, two starts of it.")] = False,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for check.json and each scene's worst run.")
-    ] = None,
-    json: Json = False,
-) -> int:
-    """Hard cases -> whether every limit holds; the exit code is 1 where one does not."""
-    from palmar.check import check_scenes
-    from palmar.files import require_folder
-    from palmar.terminal import print_json, progress_bar
-
-    if suite != "stability":
-        raise PalmarError("E-USAGE", "--suite", f"{suite!r}; stability is the one there is")
-    if out is not None:
-        require_folder(out)
-    settings = parse_pairs("--set", setting or [])
-    with progress_bar(not json) as progress:
-        answer = check_scenes(
-            scenes or [],
-            solvers=solver or ["progressive"],
-            settings=settings,
-            quick=quick,
-            out=out,
-            progress=progress,
-            say=(lambda line: None) if json else lambda line: print(line, flush=True),
-        )
-    if json:
-        print_json(answer)
-    return 0 if answer["passed"] else FAILED
