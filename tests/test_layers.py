@@ -11,7 +11,7 @@ STAGES = ("tools", "traces", "eval")
 # Only these files of the package root know the stages.
 KNOW_ALL = (
     *("cli_make", "cli_trace", "cli_judge", "cli_check", "calibrate", "importing", "demo", "check", "golden"),
-    *("chart", "chart_inputs", "compare", "matrix"),
+    *("chart", "chart_inputs", "compare"),
 )
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [

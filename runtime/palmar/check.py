@@ -15,6 +15,7 @@ import numpy as np
 
 from palmar.errors import PalmarError
 from palmar.eval.case import Case
+from palmar.eval.matrix import moment, write_matrix
 from palmar.eval.metrics import margin_db, measure, worst_margin
 from palmar.eval.table import METRICS
 from palmar.files import nearest
@@ -51,6 +52,8 @@ class Tally:
     figures: dict[str, float] = field(default_factory=dict)  # METRIC STAT -> the largest value
     contact_steps: dict[str, int] = field(default_factory=dict)  # of each case
     end_force_n: list[list[float]] = field(default_factory=list)  # of each run, the last on each fingertip
+    why: str = ""
+    moment: Row | None = None  # of the run that set the margin, if a matrix is to be drawn
 
     @property
     def passed(self) -> bool:
@@ -125,13 +128,15 @@ def check_scenes(
     settings: dict[str, Any] | None = None,
     quick: bool = False,
     out: Path | None = None,
+    runs: bool = False,
     progress: Callable[[str, float], None] = lambda text, fraction: None,
     say: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
     """Replay every case and start of every scene by every solver and judge each run; one run is held at a time.
 
     scenes: names or TOML files; none for all of the suite. settings go over those of the scenes. quick: the first case
-    and two starts. out: a folder for check.json and, of each scene, the pack, trace and run of the worst margin.
+    and two starts. out: a folder for check.json and the matrix of scenes and solvers, whose cells open the worst moment;
+    runs: keep there the pack, trace and run of each cell's worst margin too.
     Returns schema, passed, scenes. Raises PalmarError, BadPack, BadTrace.
     """
     names = list(scenes) or suite()
@@ -148,7 +153,7 @@ def check_scenes(
     with tempfile.TemporaryDirectory(prefix="palmar-check-") as folder:
         for number, (keys, where, _) in enumerate(loaded):
             cases = cases_of(keys, where.name)[: 1 if quick else None]
-            of_scene = {solver: Tally(where.stem, keys["id"], solver) for solver in solvers}
+            of_scene = {solver: Tally(where.stem, keys["id"], solver, why=keys["why"]) for solver in solvers}
             for done, (case, table) in enumerate(cases):
                 progress(f"{where.stem} {case}", (number + done / len(cases)) / len(loaded))
                 scene = check_scene(table, where.name)
@@ -158,7 +163,7 @@ def check_scenes(
                 pack = Path(folder) / "object.pack"
                 save_object(pack, hand, tree)
                 for tally in of_scene.values():
-                    _run_case(Path(folder), pack, scene, case, tally, settings or {}, quick, out)
+                    _run_case(Path(folder), pack, scene, case, tally, settings or {}, quick, out, runs)
             if scene.same_end_force_n is not None:
                 for tally in of_scene.values():
                     tally.compare_ends(scene.same_end_force_n)
@@ -172,6 +177,8 @@ def check_scenes(
     }
     if out is not None:
         write_whole(out / "check.json", json.dumps(answer, indent=1).encode())
+        shown = {(tally.scene, tally.solver): tally.moment for tally in tallies if tally.moment is not None}
+        answer = {**answer, "page": str(write_matrix(out, answer["scenes"], shown))}
     return answer
 
 
@@ -190,13 +197,14 @@ def _run_case(
     settings: dict[str, Any],
     quick: bool,
     out: Path | None,
+    runs: bool,
 ) -> None:
     pack = load_pack(pack_path)
     about = {*ALWAYS, *scene.metrics}
     only = about | {name.split()[0] for name in scene.figures}
     for start in range(min(scene.starts, QUICK_STARTS) if quick else scene.starts):
         run = replay_case(folder, pack_path, scene, (tally.scene, case, start), tally.solver, settings)
-        rows, _ = measure(run, pack, "object", only=only)
+        rows, series = measure(run, pack, "object", only=only)
         rows = [row if row["metric"] in about else {**row, "limit": None, "margin_db": None} for row in rows]
         if scene.end_offset_m is not None:
             apart_m = np.linalg.norm(run.palm_position_m[-1] - run.haptic_palm_position_m[-1])
@@ -205,6 +213,10 @@ def _run_case(
             rows.append(_settled_row(Case(run, pack, "object"), scene.settled_after_steps))
         tally.see(run, case)
         if tally.take(rows, case, start, scene.figures) and out is not None:
+            assert tally.worst is not None
+            tally.moment = moment(run, pack, "object", tally.worst, series)
+            if not runs:
+                continue
             for path, ending in zip((pack_path, *files_of(folder)), ("pack", "mcap", "run.mcap"), strict=True):
                 shutil.copyfile(path, out / f"{tally.scene}-{tally.solver}.{ending}")
 
@@ -269,7 +281,7 @@ def _told(tally: Tally) -> dict[str, Any]:
     told = dict(vars(tally))
     told["margin_db"] = tally.margin_db if abs(tally.margin_db) < float("inf") else None
     told["passed"], told["untouched"] = tally.passed, tally.untouched
-    del told["end_force_n"]
+    del told["end_force_n"], told["moment"]
     return told
 
 

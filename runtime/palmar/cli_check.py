@@ -37,6 +37,7 @@ def check(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for the matrix, check.json and each cell's worst run.")
     ] = None,
+    runs: Annotated[bool, typer.Option("--runs", help="Keep pack, trace and run of each cell's worst too.")] = False,
     json: Json = False,
 ) -> int:
     """Hard cases -> whether every limit holds, or golden numbers -> whether they are as before; else exit code 1."""
@@ -47,15 +48,17 @@ def check(
     for path in (junit, markdown):
         if path is not None:
             require_place(path)
+    if runs and out is None:
+        raise PalmarError("E-USAGE", "--runs", "goes with --out, the folder to keep them in")
     if golden is None and (update or reason is not None or pack is not None):
         raise PalmarError("E-USAGE", "--golden", "--update, --reason and --pack are about a file of golden numbers")
     say = (lambda line: None) if json else lambda line: print(line, flush=True)
     with progress_bar(not json) as progress:
         if golden is None:
-            answer = _suite(scenes or [], solver, suite, setting or [], quick, out, progress, say)
+            answer = _suite(scenes or [], solver, suite, setting or [], quick, out, runs, progress, say)
         else:
-            if quick or setting or out is not None:
-                raise PalmarError("E-USAGE", "--golden", "goes without --quick, --set and --out")
+            if quick or setting or runs or out is not None:
+                raise PalmarError("E-USAGE", "--golden", "goes without --quick, --set, --out and --runs")
             answer = _golden(golden, scenes or [], pack, solver or [], _reason(reason, update), progress, say)
     verdicts = of_suite(answer) if golden is None else of_golden(answer)
     if junit is not None:
@@ -64,6 +67,8 @@ def check(
         write_markdown(markdown, verdicts)
     if json:
         print_json(answer)
+    elif "page" in answer:
+        print(f"matrix: {answer['page']}")
     return 0 if answer["passed"] else FAILED
 
 
@@ -74,6 +79,7 @@ def _suite(
     settings: list[str],
     quick: bool,
     out: Path | None,
+    runs: bool,
     progress: Any,
     say: Any,
 ) -> dict[str, Any]:
@@ -88,6 +94,7 @@ def _suite(
         settings=parse_pairs("--set", settings),
         quick=quick,
         out=None if out is None else require_folder(out),
+        runs=runs,
         progress=progress,
         say=say,
     )
