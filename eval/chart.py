@@ -164,9 +164,10 @@ def lead(found: Sequence[Dot], product: str) -> str:
     p99 = [dot.cost_us["p99"] for dot in ours.values()]
     replays, steps = sum(dot.traces for dot in ours.values()), sum(dot.steps for dot in ours.values())
     span = f"{min(p99):.0f} to {max(p99):.0f}" if len(p99) > 1 else f"{p99[0]:.0f}"
+    inside = f"at most {depth:.3g} mm inside the spheres" if depth else "never inside the spheres"
     said = (
-        f"{product} is at most {depth:.3g} mm inside the spheres and fails {failed} of {steps:,} steps in {replays} "
-        f"replays, at {span} us a step (p99)"
+        f"{product} is {inside} and fails {failed or 'none'} of {steps:,} steps in {replays} replays, at {span} us a "
+        "step (p99)"
     )
     if not theirs:
         return f"{said}."

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 AROUND = 100  # steps on either side of the worst one, each a frame
 OVERVIEW = 80  # frames of the rest of the run
-MOST_SPHERES = 4000  # of an object, the ones nearest to the hand at the worst step
+MOST_SPHERES = 20_000  # of an object; of more every second one, or third, and so on
 DEEPEST_DB = 60.0  # margins below minus this all have the darkest colour
 
 
@@ -33,7 +33,7 @@ def moment(run: Run, pack: AssetPack, object_name: str, row: dict[str, Any], ser
     even = np.round(np.linspace(0, n - 1, min(OVERVIEW, n))).astype(np.int64)
     steps = np.unique(np.concatenate([even, np.arange(max(0, worst - AROUND), min(n, worst + AROUND + 1))]))
     tree, level = pack.objects[object_name], int(run.header.get("level", -1))
-    seen = object_shape(_near(tree, level, run, worst), -1)
+    seen = object_shape(_thinned(tree, level), -1)
     force = np.linalg.norm(run.fingertip_force_n, axis=2).max(axis=1)
     values = series.get(row["metric"])
     return {
@@ -68,14 +68,10 @@ def worst_step(run: Run, metric: str, series: dict[str, Array]) -> int:
     return int(np.argmax(np.linalg.norm(np.diff(run.fingertip_force_n, axis=0), axis=2).max(axis=1))) + 1
 
 
-def _near(tree: SphereTree, level: int, run: Run, step: int) -> SphereTree:
-    """The tree with the spheres of the level nearest to the hand's palm, no more than a page can draw."""
+def _thinned(tree: SphereTree, level: int) -> SphereTree:
+    """The tree with the spheres of the level alone, no more of them than a page can draw; the same for all solvers."""
     spheres = tree.levels[level]
-    if len(spheres) > MOST_SPHERES:
-        # Good enough here: an object that has so many stands where the scene put it.
-        away = np.linalg.norm(spheres[:, :3] + run.object_position_m[step] - run.palm_position_m[step], axis=1)
-        spheres = spheres[np.sort(np.argsort(away - spheres[:, 3], kind="stable")[:MOST_SPHERES])]
-    return replace(tree, levels=[spheres])
+    return replace(tree, levels=[spheres[:: -(-len(spheres) // MOST_SPHERES)]])
 
 
 def write_matrix(folder: Path, scenes: list[dict[str, Any]], moments: dict[tuple[str, str], dict[str, Any]]) -> Path:
@@ -159,5 +155,5 @@ def _said(scene: dict[str, Any]) -> tuple[str, str, float]:
         return f"{margin:+.1f} dB".replace("-", "−"), metric, share
     if worst["value"] > (worst["limit"] or 0.0):
         unit = "" if worst["unit"] == "1" else f" {worst['unit']}"
-        return "−∞ dB", f"{metric} {worst['value']:.3g}{unit}, 0 allowed", 1.0
-    return "all 0", "nothing to find", 1.0
+        return "−∞ dB", f"{metric} {worst['value']:.2g}{unit}", 1.0
+    return "all 0", "limits of 0 kept", 1.0

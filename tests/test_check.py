@@ -1,5 +1,6 @@
 """The command that runs hard cases: what it prints, when it fails, and that a bad solver cannot pass."""
 
+import base64
 import json
 from dataclasses import fields, replace
 
@@ -50,10 +51,11 @@ def run(capsys, tmp_path, monkeypatch):
 
 def test_the_products_solver_keeps_the_limits_where_the_published_one_ends_behind_the_plate(run, tmp_path):
     code, out, errors = run(
-        "check", "plate_glove_rate", "--quick", "--solver", "progressive", "--solver", "paper", "-o", "o"
+        "check", "plate_glove_rate", "--quick", "--solver", "progressive", "--solver", "paper", "-o", "o", "--runs"
     )
     assert (code, errors) == (1, [])
-    ours, theirs = out.splitlines()
+    ours, theirs, page = out.splitlines()
+    assert page == "matrix: o/index.html"
     assert ours.startswith("P2   plate_glove_rate") and "FAILS" not in ours
     assert "paper" in theirs and "FAILS 2" in theirs and "wrong_side" in theirs
     answer = json.loads((tmp_path / "o" / "check.json").read_text())
@@ -82,14 +84,37 @@ def test_a_scene_in_which_the_hand_meets_nothing_shows_nothing_and_fails(run, tm
 
 def test_the_worst_run_of_a_scene_is_kept_with_its_pack_and_trace(run, tmp_path):
     (tmp_path / "near.toml").write_text(MY_SCENE.format(why="a scene of the tests " * 5, z=0.0))
-    run("check", "near.toml", "-o", "o")
+    run("check", "near.toml", "-o", "o", "--runs")
     assert sorted(path.name for path in (tmp_path / "o").iterdir()) == [
+        "cells",
         "check.json",
+        "index.html",
         "near-progressive.mcap",
         "near-progressive.pack",
         "near-progressive.run.mcap",
     ]
     assert read_trace(tmp_path / "o" / "near-progressive.mcap").header["scene"] == "near"
+
+
+def test_a_cell_of_the_matrix_opens_the_worst_step_and_solvers_share_the_object(run, tmp_path):
+    (tmp_path / "near.toml").write_text(MY_SCENE.format(why="a scene of the <tests> " * 5, z=0.0))
+    run("check", "near.toml", "-o", "o", "--solver", "progressive", "--solver", "paper")
+    assert sorted(path.name for path in (tmp_path / "o").iterdir()) == ["cells", "check.json", "index.html"]
+    names = sorted(path.name.split("-")[0] for path in (tmp_path / "o" / "cells").iterdir())
+    assert names == ["hand", "near", "near", "object"]
+    page = (tmp_path / "o" / "index.html").read_text()
+    scenes = {scene["solver"]: scene for scene in json.loads((tmp_path / "o" / "check.json").read_text())["scenes"]}
+    for solver, scene in scenes.items():
+        assert f'<a href="#near-{solver}"' in page
+        text = (tmp_path / "o" / "cells" / f"near-{solver}.js").read_text()
+        start, content = text.rstrip(";\n").split(" = ", 1)
+        cell = json.loads(content)
+        assert start == f'palmar.cells["near-{solver}"]' and cell["metric"] == scene["worst"]["metric"]
+        steps = np.frombuffer(base64.b64decode(cell["steps"]["base64"]), "<u4")
+        values = np.frombuffer(base64.b64decode(cell["values"]["base64"]), "<f4")
+        if scene["worst"]["value"] > 0 and scene["worst"]["stat"] == "max":
+            assert values[cell["first"]] == pytest.approx(scene["worst"]["value"], rel=1e-6)  # float32
+        assert len(np.unique(steps)) == len(steps) and "&lt;tests&gt;" in page
 
 
 def test_each_mistake_is_one_line_with_exit_code_2(run, tmp_path):

@@ -23,7 +23,7 @@ async function open(name) {
   document.querySelectorAll("a.open").forEach(other => other.classList.remove("open"));
   link.classList.add("open");
   box.hidden = false;
-  find("h2").textContent = name;
+  find("h2").textContent = name.replace("-", ", ");
   find(".facts").textContent = "loading";
   try {
     await load(name);
