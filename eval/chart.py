@@ -9,6 +9,7 @@ import csv
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -87,7 +88,7 @@ def judge(run: Run, pack: AssetPack, object_name: str) -> dict[str, Any]:
         "deep": series["penetration_spheres"] > DEEP_MM,
     }
     return {
-        "numbers": {name: value[key] for name, key in NUMBERS.items()},
+        "numbers": {name: None if value[key] is None else value[key] + 0.0 for name, key in NUMBERS.items()},  # no -0
         "steps": len(run.time_s),
         "failed": int(np.logical_or.reduce(list(flags.values())).sum()),
         "failures": {name: int(flag.sum()) for name, flag in flags.items()},
@@ -211,10 +212,12 @@ def by_contacts(cells: Sequence[Cell]) -> dict[str, list[dict[str, float]]]:
         contacts = np.concatenate([cell.contacts for cell in of])
         cost = np.concatenate([cell.least_us for cell in of])
         rows = []
-        for low, high in zip(edges[:-1], edges[1:], strict=True):
+        for low, high in pairwise(edges):
             inside = cost[(contacts >= low) & (contacts < high)]
             if len(inside) >= 20:  # fewer have no percentile to speak of
-                rows.append({"contacts": float(np.sqrt(low * (high - 1))), "steps": len(inside)} | _quantiles(inside, 50, 99))
+                rows.append(
+                    {"contacts": float(np.sqrt(low * (high - 1))), "steps": len(inside)} | _quantiles(inside, 50, 99)
+                )
         curves[solver] = rows
     return curves
 

@@ -51,7 +51,9 @@ def _scatter(found: Sequence[Dot], colours: dict[str, str], product: str) -> Fig
         axis.set_yscale("symlog", linthresh=least, linscale=0.4)
         front = [(dot.cost_us["p99"], dot.numbers[number]) for dot in pareto(found, number)]
         if front:
-            axis.step(*zip(*front, strict=True), where="post", color="0.8", linewidth=4, zorder=1, solid_capstyle="round")
+            axis.step(
+                *zip(*front, strict=True), where="post", color="0.8", linewidth=4, zorder=1, solid_capstyle="round"
+            )
         for solver, colour in colours.items():
             of = [dot for dot in found if dot.solver == solver and dot.numbers[number] is not None]
             plain = sorted((dot for dot in of if not dot.quality), key=lambda dot: dot.level)

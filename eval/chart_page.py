@@ -96,7 +96,7 @@ def _table(found: Sequence[Dot], product: str) -> str:
             _number(f"{dot.spheres:,}"),
             *(_number(f"{dot.cost_us[stat]:.1f}") for stat in ("p50", "p99")),
             *(_number(f"{dot.tail_us[stat]:.0f}") for stat in ("p99", "p99.9", "max")),
-            *(_number("–" if dot.numbers[name] is None else f"{dot.numbers[name]:.3g}") for name in NUMBERS),
+            *(_number("&ndash;" if dot.numbers[name] is None else f"{dot.numbers[name]:.3g}") for name in NUMBERS),
             f'<td class="number{" fail" if dot.failed else ""}">{dot.failed:,}</td>',
             _number(f"{dot.steps:,}"),
         ]

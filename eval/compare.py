@@ -17,7 +17,14 @@ from palmar.records import Run
 Array = NDArray[Any]
 ASKED = ("haptic_palm_position_m", "haptic_palm_rotation_wxyz", "haptic_flexion_rad", "haptic_abduction_rad")
 PLACED = ("object_position_m", "object_rotation_wxyz")
-ANSWERED = ("palm_position_m", "palm_rotation_wxyz", "flexion_rad", "abduction_rad", "fingertip_force_n", "palm_force_n")
+ANSWERED = (
+    "palm_position_m",
+    "palm_rotation_wxyz",
+    "flexion_rad",
+    "abduction_rad",
+    "fingertip_force_n",
+    "palm_force_n",
+)
 HEADER = ("pack_sha256", "trace_sha256", "object", "solver", "level", "settings", "build", "machine")
 
 

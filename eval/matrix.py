@@ -23,10 +23,13 @@ Array = NDArray[np.float64]
 AROUND = 100  # steps on either side of the worst one, each a frame
 OVERVIEW = 80  # frames of the rest of the run
 MOST_SPHERES = 20_000  # of an object; of more every second one, or third, and so on
+MINUS = "\u2212"
 DEEPEST_DB = 60.0  # margins below minus this all have the darkest colour
 
 
-def moment(run: Run, pack: AssetPack, object_name: str, row: dict[str, Any], series: dict[str, Array]) -> dict[str, Any]:
+def moment(
+    run: Run, pack: AssetPack, object_name: str, row: dict[str, Any], series: dict[str, Array]
+) -> dict[str, Any]:
     """What a cell shows of its worst run: frames around the step that set `row`, and some of the rest."""
     worst = worst_step(run, row["metric"], series)
     n = len(run.time_s)
@@ -152,8 +155,8 @@ def _said(scene: dict[str, Any]) -> tuple[str, str, float]:
         return "no contact", f"in {len(scene['untouched'])} cases", 1.0
     if margin is not None:
         share = min(1.0, abs(margin) / (DEEPEST_DB if margin < 0 else 40.0))
-        return f"{margin:+.1f} dB".replace("-", "−"), metric, share
+        return f"{margin:+.1f} dB".replace("-", MINUS), metric, share
     if worst["value"] > (worst["limit"] or 0.0):
         unit = "" if worst["unit"] == "1" else f" {worst['unit']}"
-        return "−∞ dB", f"{metric} {worst['value']:.2g}{unit}", 1.0
+        return f"{MINUS}∞ dB", f"{metric} {worst['value']:.2g}{unit}", 1.0
     return "all 0", "limits of 0 kept", 1.0

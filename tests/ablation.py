@@ -88,7 +88,9 @@ def main() -> None:
     for cure in arguments.off or CURES:
         what, settings = CURES[cure]
         with tempfile.TemporaryDirectory() as folder:
-            report = check_scenes(sorted({*scenes, *MEASURED}), settings=settings, quick=True, out=Path(folder), runs=True)
+            report = check_scenes(
+                sorted({*scenes, *MEASURED}), settings=settings, quick=True, out=Path(folder), runs=True
+            )
             cells = cost(Path(folder))
         fails = {row["scene"]: said(row) for row in report["scenes"] if row["fails"]}
         if cure == "none":

@@ -118,7 +118,18 @@ def test_a_recorded_trace_is_golden_with_its_pack_and_moves_with_its_folder(run,
     trace, pack = folder / "notch.mcap", folder / "notch.pack"
     (tmp_path / "o" / "concave_notch-progressive.mcap").rename(trace)
     (tmp_path / "o" / "concave_notch-progressive.pack").rename(pack)
-    line = ("check", trace, "--golden", folder / "g.csv", "--pack", pack, "--solver", "paper", "--solver", "progressive")
+    line = (
+        "check",
+        trace,
+        "--golden",
+        folder / "g.csv",
+        "--pack",
+        pack,
+        "--solver",
+        "paper",
+        "--solver",
+        "progressive",
+    )
     assert run(*line, "--update", "--reason", "recorded")[0] == 0
     assert {(row["scene"], row["pack"], row["solver"]) for row in rows_of(folder / "g.csv")} == {
         ("notch.mcap", "notch.pack", "paper"),

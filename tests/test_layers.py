@@ -42,7 +42,10 @@ DOORS = {
     "safetensors": ["runtime/palmar/model.py"],
     "threadpoolctl": ["tools/hand_fit.py", "traces/finger_shape.py", "traces/inverse.py"],
     "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py", "tools/moved.py"],
-    "typer": [f"runtime/palmar/cli{name}.py" for name in ("", "_app", "_calibrate", "_make", "_trace", "_judge", "_check", "_chart")],
+    "typer": [
+        f"runtime/palmar/cli{name}.py"
+        for name in ("", "_app", "_calibrate", "_make", "_trace", "_judge", "_check", "_chart")
+    ],
 }
 OF_FUNCTIONS = {"open3d", "pyvista"}
 

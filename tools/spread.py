@@ -40,7 +40,9 @@ def spread_levels(
     for count in counts:
         points, face = sample_surface(solid, count, seed + 1)
         balls = medial_balls(solid, points, face, _SLACK_M)
-        balls = np.column_stack([balls[:, :3], balls[:, 3] + 0.5 * max(np.quantile(union_gap(balls, samples), 0.99), 0)])
+        balls = np.column_stack(
+            [balls[:, :3], balls[:, 3] + 0.5 * max(np.quantile(union_gap(balls, samples), 0.99), 0)]
+        )
         level, over = in_tree_order(balls)
         levels.append(level)
         bounds.append(over)

@@ -9,7 +9,7 @@ import numpy as np
 from palmar.model import FINGERS
 from palmar.records import Trace
 
-PHASES = ("close", "slide")
+PHASES = ("approach", "close", "slide")
 LIFT_M = 0.006  # of a palm that is not in use: past the press of the grasp and the reach of a step
 
 # As the paper's Fig. 15 counts them: what is in use, and whether the palm is.
@@ -22,7 +22,7 @@ IN_USE: dict[str, tuple[tuple[str, ...], bool]] = {
 
 
 def with_fingers(trace: Trace, fingers: Sequence[str], palm: bool) -> Trace:
-    """The closing and sliding of a grasp with every other finger as open as at first and, without the palm, farther off.
+    """A grasp up to the end of its slide, every other finger as open as at first and, without the palm, farther off.
 
     By LIFT_M towards where the palm of the first sample is, seen from that of the sample farthest from it.
     """

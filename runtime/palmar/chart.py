@@ -91,8 +91,15 @@ def make_chart(
 
     require_own_folder(out, RESULTS, "chart")
     out.mkdir(parents=True, exist_ok=True)
-    made = {"spheres": asked.spheres, "grasps": grasps, "fingers": fingers, "made": out / "made"}
-    scenes = find_scenes(files, shapes, **made, progress=progress)
+    scenes = find_scenes(
+        files,
+        shapes,
+        spheres=asked.spheres,
+        grasps=grasps,
+        fingers=fingers,
+        made=out / "made",
+        progress=progress,
+    )
     jobs = jobs_of(scenes, asked)
     for settings in {json.dumps(job.settings | {"solver": job.solver}): job for job in jobs}.values():
         check_settings(settings)
@@ -120,8 +127,8 @@ def _about(scenes: Sequence[Scene], jobs: Sequence[Job], asked: Asked, measured:
     return {
         "traces": "; ".join(grid),
         "levels": ", ".join(f"{n:,}" for n in asked.spheres) + " spheres, or the level of a pack nearest to that",
-        "replays": f"{len(jobs)}, those of the grid judged once, each timed {asked.repeats} times, in an order drawn anew each time "
-        f"(seed {asked.seed}), one after the other on one core, in {measured['sittings']} sittings",
+        "replays": f"{len(jobs)}, those of the grid judged once, each timed {asked.repeats} times, in an order drawn anew "
+        f"each time (seed {asked.seed}), one after the other on one core, in {measured['sittings']} sittings",
         "times": f"thread CPU time of a step, of the steps in which {PRODUCT} touches; wall time stands in chart.csv. "
         "The first steps of a replay are in it.",
         "failed steps": "a link on the wrong side of the true surface, the pose of the step before kept, or more than "
@@ -152,9 +159,20 @@ def jobs_of(scenes: Sequence[Scene], asked: Asked) -> list[Job]:
         for level, number in levels_for(counts, wanted).items():
             for solver in asked.solvers:
                 for settings in [{}, *([] if scene.in_use else asked.qualities.get(solver, []))]:
-                    paths = str(scene.pack), str(scene.trace)
-                    place = scene.object, scene.name, number, level, counts[number]
-                    jobs.append(Job(*paths, *place, solver, settings, scene.in_use))
+                    jobs.append(
+                        Job(
+                            pack=str(scene.pack),
+                            trace=str(scene.trace),
+                            object=scene.object,
+                            name=scene.name,
+                            number=number,
+                            level=level,
+                            spheres=counts[number],
+                            solver=solver,
+                            settings=settings,
+                            in_use=scene.in_use,
+                        )
+                    )
     return jobs
 
 
@@ -233,7 +251,7 @@ def _time_all(
 ) -> dict[str, Any]:
     """Time every cell so often, in an order drawn anew for each repeat; the machine's own noise beside."""
     path = folder / "machine.json"
-    told = json.loads(path.read_text()) if path.is_file() else {"kernels": [], "sittings": 0}
+    told: dict[str, Any] = json.loads(path.read_text()) if path.is_file() else {"kernels": [], "sittings": 0}
     job_of = dict(zip(keys, jobs, strict=True))
     todo = [(repeat, key) for repeat in range(asked.repeats) for key in job_of if repeat >= _repeats(folder / key)]
     if not todo:

@@ -135,8 +135,8 @@ def check_scenes(
     """Replay every case and start of every scene by every solver and judge each run; one run is held at a time.
 
     scenes: names or TOML files; none for all of the suite. settings go over those of the scenes. quick: the first case
-    and two starts. out: a folder for check.json and the matrix of scenes and solvers, whose cells open the worst moment;
-    runs: keep there the pack, trace and run of each cell's worst margin too.
+    and two starts. out: a folder for check.json and the matrix of scenes and solvers, whose cells open the worst
+    moment; runs: keep there the pack, trace and run of each cell's worst margin too.
     Returns schema, passed, scenes. Raises PalmarError, BadPack, BadTrace.
     """
     names = list(scenes) or suite()

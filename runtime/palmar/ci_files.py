@@ -70,7 +70,11 @@ def write_junit(path: Path, verdicts: Sequence[Verdict]) -> None:
 def write_markdown(path: Path, verdicts: Sequence[Verdict]) -> None:
     """A heading with the counts and a table, what failed first."""
     failed = sum(not verdict.passed for verdict in verdicts)
-    head = f"## palmar check: {failed} of {len(verdicts)} failed" if failed else f"## palmar check: all {len(verdicts)} hold"
+    head = (
+        f"## palmar check: {failed} of {len(verdicts)} failed"
+        if failed
+        else f"## palmar check: all {len(verdicts)} hold"
+    )
     lines = [head, "", "| | scene | solver | what | |", "| --- | --- | --- | --- | --- |"]
     for verdict in sorted(verdicts, key=lambda verdict: verdict.passed):
         cells = (verdict.scene, verdict.solver, verdict.name, verdict.said)

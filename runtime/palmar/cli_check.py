@@ -30,7 +30,9 @@ def check(
     update: Annotated[
         bool, typer.Option("--update", help="Write the new numbers, and those of new SCENEs, into --golden.")
     ] = False,
-    reason: Annotated[str | None, typer.Option("--reason", help="Why the numbers change; --update asks for it.")] = None,
+    reason: Annotated[
+        str | None, typer.Option("--reason", help="Why the numbers change; --update asks for it.")
+    ] = None,
     pack: Annotated[Path | None, typer.Option("--pack", help="Pack of traces that are new to --golden.")] = None,
     junit: Annotated[Path | None, typer.Option("--junit", help="JUnit XML to write.")] = None,
     markdown: Annotated[Path | None, typer.Option("--markdown", help="Summary in Markdown to write.")] = None,
@@ -106,8 +108,8 @@ def _golden(
     from palmar.files import require_place
     from palmar.golden import check_golden
 
-    given = {"pack": pack, "solvers": solvers, "reason": reason}
-    return check_golden(require_place(path), scenes, **given, progress=progress, say=say)
+    place = require_place(path)
+    return check_golden(place, scenes, pack=pack, solvers=solvers, reason=reason, progress=progress, say=say)
 
 
 def _reason(reason: str | None, update: bool) -> str | None:

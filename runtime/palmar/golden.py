@@ -149,9 +149,9 @@ def check_golden(
             replays.append({**told, "changed_inputs": changed})
             say(_line(replays[-1], found, new=not expected))
             if reason is not None:
-                fresh, changed = _updated(place, expected, now, reason)
+                fresh, count = _updated(place, expected, now, reason)
                 rows = [row for row in rows if row.replay != place] + fresh
-                updated += changed
+                updated += count
                 trail.keep(place, run, assets, name, series)
     if reason is not None:
         write_golden(path, rows)
@@ -191,7 +191,9 @@ def _new_replays(
     return found
 
 
-def _replay(folder: Path, base: Path, place: tuple[str, str, str, int, str, int]) -> tuple[Run, AssetPack, str, list[str]]:
+def _replay(
+    folder: Path, base: Path, place: tuple[str, str, str, int, str, int]
+) -> tuple[Run, AssetPack, str, list[str]]:
     """The run, its pack, the object, and what the scene is about."""
     scene, pack, case, start, solver, level = place
     if scene.endswith(".mcap"):
@@ -274,7 +276,8 @@ def say_failure(failure: dict[str, Any]) -> str:
         return failure["said"]
     unit = "" if failure["unit"] == "1" else f" {failure['unit']}"
     new = "not measured" if failure["new"] is None else f"{failure['new']:.9g}"
-    said = f"{failure['metric']} {failure['stat']} was {failure['old']:.9g}{unit}, is {new} (tolerance {failure['tolerance']:g})"
+    tolerance = f"(tolerance {failure['tolerance']:g})"
+    said = f"{failure['metric']} {failure['stat']} was {failure['old']:.9g}{unit}, is {new} {tolerance}"
     step, beyond = failure.get("first_step"), failure.get("first_beyond")
     if step is not None:
         said += f"; first differing step {step}"

@@ -70,7 +70,9 @@ def test_the_pareto_line_leaves_out_what_failed_and_what_another_dot_beats():
 
 def test_the_sentence_says_where_the_product_leads_and_where_not():
     said = lead(dots(CELLS, "progressive"), "progressive")
-    assert said.startswith("progressive is never inside the spheres and fails none of 200 steps in 2 replays, at 20 to 30")
+    assert said.startswith(
+        "progressive is never inside the spheres and fails none of 200 steps in 2 replays, at 20 to 30"
+    )
     assert "god_object holds 0.1 mm, 0.02 mm deep, at 1.7 times its time" in said  # sqrt(0.75 * 4)
     assert "paper fails 7 steps, 2 mm deep" in said
     # paper 3000 and god_object 3000 are slower and deeper; none is faster and as exact.

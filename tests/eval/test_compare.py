@@ -47,9 +47,7 @@ def test_the_number_of_the_hand_or_the_sphere_that_is_another_is_named(make_pack
     moved = leaves.copy()
     moved[3, 3] += 1e-6
     assert what_differs(before, inputs(make_pack(leaves), "thing")) == []
-    assert what_differs(before, inputs(make_pack(moved), "thing")) == [
-        "object.spheres_m differs, of 5 first number 3"
-    ]
+    assert what_differs(before, inputs(make_pack(moved), "thing")) == ["object.spheres_m differs, of 5 first number 3"]
     pack = make_pack(leaves)
     limits = pack.hand.flexion_limit_rad.copy()
     limits[1, 0, 1] = 1.5
@@ -70,7 +68,7 @@ def test_friction_is_what_the_contacts_normals_leave_of_the_palms_force(make_pac
         return rows[1]["value"]
 
     assert p99(run) < 1e-12
-    dragged = palm + [0.0, 0.3, 0.0]  # across both normals
+    dragged = palm + np.array([0.0, 0.3, 0.0])  # across both normals
     run = make_run(10, contact_links=links, contact_normal=normal, contact_force_n=force, palm_force_n=dragged)
     assert abs(p99(run) - 0.3) < 1e-12
 
