@@ -161,9 +161,8 @@ def test_a_link_is_on_the_far_side_where_any_part_of_its_axis_is():
 
 
 def test_what_a_lap_seems_to_generate_at_one_kilohertz_is_the_sampling_of_its_work(run, tmp_path):
-    code, _, _ = run(
-        "check", "closed_loop_energy", "--quick", "--set", "rate_hz=16000", "--set", "resample=linear", "-o", "o"
-    )
+    at = ("--set", "rate_hz=16000", "--set", "resample=linear")
+    code, _, _ = run("check", "closed_loop_energy", "--quick", *at, "-o", "o", "--runs")
     assert code == 0
     pack = load_pack(tmp_path / "o" / "closed_loop_energy-progressive.pack")
     fine = read_run(tmp_path / "o" / "closed_loop_energy-progressive.run.mcap")
