@@ -127,8 +127,8 @@ def _about(scenes: Sequence[Scene], jobs: Sequence[Job], asked: Asked, measured:
     return {
         "traces": "; ".join(grid),
         "levels": ", ".join(f"{n:,}" for n in asked.spheres) + " spheres, or the level of a pack nearest to that",
-        "replays": f"{len(jobs)}, those of the grid judged once, each timed {asked.repeats} times in an order drawn anew "
-        f"each time (seed {asked.seed}), one after the other on one core, in {measured['sittings']} sittings",
+        "replays": f"{len(jobs)}, those of the grid judged once, each timed {asked.repeats} times, in an order drawn "
+        f"anew each time (seed {asked.seed}), one after the other on one core, in {measured['sittings']} sittings",
         "times": f"thread CPU time of a step, of the steps in which {PRODUCT} touches; wall time stands in chart.csv. "
         "The first steps of a replay are in it.",
         "failed steps": "a link on the wrong side of the true surface, the pose of the step before kept, or more than "
