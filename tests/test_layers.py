@@ -9,13 +9,13 @@ TOP = Path(__file__).resolve().parents[1]
 SOURCE = TOP / "runtime" / "src"
 STAGES = ("tools", "traces", "eval")
 # Only these files of the package root know the stages.
-KNOW_ALL = ("cli_make", "cli_trace", "cli_judge", "calibrate", "importing", "demo", "check")
+KNOW_ALL = ("cli_make", "cli_trace", "cli_judge", "calibrate", "importing", "recording", "demo", "check")
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [
     "error records algebra crc32 cdr mcap wide",
     "random triangle_tree point_tree sphere_tree hand schemas mcap_reader mcap_writer",
     "bound_tree inside_ball sphere_union object gap qp pack_file resample channels",
-    "contacts cover_fit curvature metric trace_file run_file",
+    "contacts cover_fit curvature device_recording metric trace_file run_file",
     "force filter release search",
     "solver",
     "baseline round",
@@ -37,9 +37,12 @@ DOORS = {
     "pygltflib": ["tools/gltf_skin.py"],
     "rich": ["runtime/palmar/terminal.py"],
     "safetensors": ["runtime/palmar/model.py"],
+    "serial": ["traces/port.py"],
     "threadpoolctl": ["tools/hand_fit.py", "traces/finger_shape.py", "traces/inverse.py"],
     "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py", "tools/moved.py"],
-    "typer": [f"runtime/palmar/cli{name}.py" for name in ("", "_app", "_calibrate", "_make", "_trace", "_judge")],
+    "typer": [
+        f"runtime/palmar/cli{name}.py" for name in ("", "_app", "_calibrate", "_make", "_record", "_trace", "_judge")
+    ],
 }
 OF_FUNCTIONS = {"open3d", "pyvista"}
 
