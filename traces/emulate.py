@@ -65,7 +65,7 @@ class Emulator:
         self._held: list[bytes] = []  # back, for a stall
         self._held_until = self._other_until = 0.0
         self._from_host = b""
-        self._number = 0
+        self._number, self._played_s = 0, 0.0
         self._poses = None if poses_to is None else socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._poses_to = poses_to
 
@@ -98,6 +98,7 @@ class Emulator:
         """The line for a time of the trace; of a trace that loops, again from its beginning."""
         if self._loop:
             played_s %= float(self._time_s[-1]) or 1.0
+        self._played_s = played_s
         k = max(int(np.searchsorted(self._time_s, played_s + 1e-9, side="right")) - 1, 0)
         self._send_pose(k)
         flexion, abduction = self._flexion[k], self._abduction[k]
@@ -121,7 +122,8 @@ class Emulator:
             return len(line)
         if quiet := self.faults.wanted("silence"):
             self.sent["silence"] += 1
-            time.sleep(quiet)
+            self._write("silence", b"under force" if any(self.force) else b"")
+            self._listen(now + quiet)
             return len(line)
         if size := int(self.faults.wanted("flood")):
             self._send(Piece(self.faults.noise(size) + b"\xfe\n", "flood"), now)
@@ -152,7 +154,10 @@ class Emulator:
                 self.not_heard += 1
                 return
         self.sent[piece.kind] += 1
-        self.log.add(now, piece.kind, self._number, b"" if piece.kind == "flood" else piece.content)
+        self._write(piece.kind, b"" if piece.kind == "flood" else piece.content)
+
+    def _write(self, kind: str, content: bytes = b"") -> None:
+        self.log.add(time.monotonic(), self._played_s, kind, self._number, content)
 
     def _unplug(self, away_s: float) -> None:
         # What is still in the wire would be lost; a test could not tell that from a fault of the host.
@@ -161,7 +166,7 @@ class Emulator:
         self.sent["unplug"] += 1
         time.sleep(away_s)
         self.wire.plug()
-        self.log.add(time.monotonic(), "plug", self._number)
+        self._write("plug")
 
     def _listen(self, until: float) -> None:
         """Take what the host sends while it is not yet time for the next line."""
@@ -190,7 +195,7 @@ class Emulator:
                 self.forces += 1
                 self.force = force
                 if line + b"\n" == NO_FORCE:
-                    self.log.add(time.monotonic(), "no force", self._number)
+                    self._write("no force")
 
     def _ranged(self, flexion: Array) -> Array:
         """What auto-ranging firmware makes of a potentiometer: shares of the travel that it has seen so far."""

@@ -164,15 +164,15 @@ class Faults:
 
 
 class Log:
-    """What was sent, a JSON object a line: time by the machine's monotonic clock, kind, number of the line, text."""
+    """What was sent, a JSON object a line: time by the monotonic clock, time of the trace, kind, line, text."""
 
     def __init__(self, path: Path | None) -> None:
         self._file: TextIO | None = None if path is None else path.open("w", buffering=1 << 16)
 
-    def add(self, time_s: float, kind: str, number: int, content: bytes = b"") -> None:
+    def add(self, time_s: float, played_s: float, kind: str, number: int, content: bytes = b"") -> None:
         if self._file is not None:
-            text = content.strip().decode("latin-1")
-            self._file.write(json.dumps({"time_s": time_s, "kind": kind, "line": number, "text": text}) + "\n")
+            entry = {"time_s": time_s, "played_s": played_s, "kind": kind, "line": number}
+            self._file.write(json.dumps(entry | {"text": content.strip().decode("latin-1")}) + "\n")
 
     def close(self) -> None:
         if self._file is not None:

@@ -80,7 +80,12 @@ class Decoder:
                 raise Rejected("garbage")
             self._inform(values)
             return None
-        reading = self._reading(values)
+        try:
+            reading = self._reading(values)
+        except Rejected:
+            if found.start() > 0:
+                raise Rejected("garbage") from None
+            raise
         self.glued += broken
         return reading
 

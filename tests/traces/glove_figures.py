@@ -16,12 +16,16 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from mcap.reader import NonSeekingReader, make_reader
+from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from palmar.errors import PalmarError
+from palmar.model import AssetPack, SphereTree, save_pack
 from palmar.records import Trace, read_trace, write_trace
 from palmar.tools.default_hands import find_hand
+from palmar.tools.hierarchy import bounds_over
 from palmar.traces.opengloves import Reading, encode_reading
+from palmar.traces.scripted import script
 
 PALMAR = [sys.executable, "-c", "from palmar.cli import main; main()"]
 
@@ -119,15 +123,18 @@ def faults_for(seconds: float, folder: Path, share: float = 1.0) -> dict:
     emulated = glove.stop()
     sent = glove.sent()
     unplugged = [entry["time_s"] for entry in sent if entry["kind"] == "plug"]
-    good = Counter(entry["text"] for entry in sent if entry["kind"] == "good")
+    # What was sent when the recorder had ended, or was about to, counts neither way.
+    begun_s = float(read_trace(folder / "faults.mcap").header["started_monotonic_s"])
+    in_time = [entry for entry in sent if entry["time_s"] < begun_s + answer["duration_s"] - 0.2]
+    good = Counter(entry["text"] for entry in in_time if entry["kind"] == "good")
+    late = Counter(entry["text"] for entry in sent[len(in_time) :])
     kept = Counter(readings_of(folder / "faults.mcap"))
     return {
         "seconds": answer["duration_s"],
         "emulated": emulated["sent"],
         "good_lines_sent": good.total(),
         "good_lines_lost": (good - kept).total(),
-        "lost": [entry for entry in sent if entry["kind"] == "good" and entry["text"] in (good - kept)],
-        "wrong_readings": (kept - good).total(),
+        "wrong_readings": (kept - good - late).total(),
         "unplugs": len(unplugged),
         "cpu_percent": 100.0 * cpu_s / answer["duration_s"],
         "recorder": answer,
@@ -156,8 +163,10 @@ def kills(count: int, folder: Path, seed: int = 0) -> dict:
         glove = Glove(folder / "source.mcap", "--loop")
         out = folder / f"killed_{number}.mcap"
         process = start("record", "--device", "opengloves", "--port", glove.port, "-o", str(out), "--json")
-        while not (out.exists() and samples_in(out)):
-            time.sleep(0.02)
+        while not has_samples(out):
+            if process.poll() is not None:
+                raise RuntimeError(process.stderr.read())
+            time.sleep(0.05)
         time.sleep(generator.uniform(0.0, 1.5))
         process.kill()
         killed_s = time.monotonic()
@@ -166,19 +175,44 @@ def kills(count: int, folder: Path, seed: int = 0) -> dict:
             trace = read_trace(out)
             last_s = float(trace.header["started_monotonic_s"]) + trace.time_s[-1]
             lost_s.append(killed_s - last_s)
-        except Exception as error:
+        except PalmarError as error:
             unreadable += 1
             print(error, file=sys.stderr)
         glove.stop()
+        out.unlink()
     return {"kills": count, "unreadable": unreadable, "lost_s": lost_s}
 
 
-def samples_in(path: Path) -> bool:
-    with path.open("rb") as stream:
-        try:
-            return any(NonSeekingReader(stream).iter_messages(topics=["/haptic_hand"]))
-        except Exception:
-            return False
+def silences(seconds: float, folder: Path) -> dict:
+    """Force feedback on a ball: how long after the last good line the glove is told to let go."""
+    pack, scene = folder / "ball.pack", folder / "grasp.mcap"
+    ball = np.array([[0.0, 0.0, 0.0, 0.035]])
+    corners = 0.035 * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    tree = SphereTree([ball], [bounds_over(ball)], corners, np.zeros((0, 3), dtype=np.int32), {"levels": [{}]})
+    save_pack(pack, AssetPack(find_hand(None), {"ball": tree}, {}))
+    script("grasp", pack, scene)
+    faults = ["--fault", "silence=0.01:0.3", "--fault", "unplug=0.003:0.3", "--fault", "other=0.002:0.3"]
+    glove = Glove(scene, "--loop", "--form", "joints", "--count-lines", *faults)
+    flags = ["--solve", str(pack), "--feedback", "--pose", str(scene), "--duration-s", str(seconds)]
+    answer, _ = record(glove.port, folder / "felt.mcap", *flags)
+    glove.stop()
+    waits, last_s, waiting = [], 0.0, False
+    for entry in glove.sent():
+        if entry["kind"] == "silence":
+            waiting = waiting or bool(entry["text"])
+        elif waiting:
+            waits.append((entry["time_s"] if entry["kind"] == "no force" else np.inf) - last_s)
+            waiting = False
+        if entry["kind"] == "good":
+            last_s = entry["time_s"]
+    return {"let_go_s": waits, "feedback": answer["feedback"], "gaps": answer["gaps"]["count"]}
+
+
+def has_samples(path: Path) -> bool:
+    try:
+        return len(read_trace(path).time_s) > 0
+    except PalmarError:
+        return False
 
 
 def round_trip(folder: Path, form: str) -> dict:
@@ -186,10 +220,12 @@ def round_trip(folder: Path, form: str) -> dict:
     source = moving_trace(folder / "source.mcap", 5.0)
     hand = find_hand(None)
     glove = Glove(folder / "source.mcap", "--form", form, "--poses-to", "udp://127.0.0.1:47000", "--count-lines")
-    record(glove.port, folder / "back.mcap", "--duration-s", "4", "--pose", "udp://127.0.0.1:47000")
+    record(glove.port, folder / f"back_{form}.mcap", "--duration-s", "4", "--pose", "udp://127.0.0.1:47000")
     glove.stop()
-    back = read_trace(folder / "back.mcap")
-    numbers = np.array([int(line.split("F")[1].split("G")[0]) for line in readings_of(folder / "back.mcap")])
+    back = read_trace(folder / f"back_{form}.mcap")
+    played_s = {entry["line"]: entry["played_s"] for entry in glove.sent() if entry["kind"] == "good"}
+    lines = [int(line.split("F")[1].split("G")[0]) for line in readings_of(folder / f"back_{form}.mcap")]
+    numbers = np.floor(np.array([played_s[line] for line in lines]) * 200.0 + 1e-6).astype(int)
     seen = back.tracked
     played = source.flexion_rad[numbers], source.abduction_rad[numbers], source.palm_position_m[numbers]
     step = hand.flexion_limit_rad[..., 1] / 4095
@@ -203,3 +239,32 @@ def round_trip(folder: Path, form: str) -> dict:
     away = np.linalg.norm(back.palm_position_m[seen][:count] - played[2][:count], axis=1)
     answer["palm_mm_p99"] = float(np.percentile(away, 99) * 1e3)
     return answer
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=600.0, help="with every fault on")
+    parser.add_argument("--kills", type=int, default=100)
+    arguments = parser.parse_args()
+    folder = Path(tempfile.mkdtemp(prefix="glove_figures"))
+    print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+
+    rates = lock_step_for(10.0, folder)
+    print(f"lock-step firmware: answered {rates['answered']:.1f} lines/s, passive {rates['passive']:.2f}")
+    for form in ("curls", "joints"):
+        print(f"round trip, {form}: {round_trip(folder, form)}")
+    felt = silences(30.0, folder)
+    waits = np.array(felt["let_go_s"]) * 1e3
+    print(f"let go after the last good line: {len(waits)} times, p50 {np.median(waits):.0f}, max {waits.max():.0f} ms")
+    print(f"  {felt['feedback']}, gaps {felt['gaps']}")
+    killed = kills(arguments.kills, folder)
+    lost = np.array(killed["lost_s"]) * 1e3
+    print(f"killed {killed['kills']} times: {killed['unreadable']} files unreadable, of the last samples")
+    print(f"  lost p50 {np.median(lost):.0f}, max {lost.max():.0f} ms")
+    figures = faults_for(arguments.seconds, folder)
+    print(json.dumps(figures, indent=1))
+    print(f"load average {os.getloadavg()[0]:.1f}")
+
+
+if __name__ == "__main__":
+    main()
