@@ -63,12 +63,10 @@ class Glove:
     """`palmar emulate` in a process of its own; `port` is a pattern that finds it under every name."""
 
     def __init__(self, trace: Path, *flags: str) -> None:
-        self.folder = Path(tempfile.mkdtemp(prefix="glove"))
-        self.log = self.folder / "log"
-        self.port = str(self.folder / "port*")
-        link = ["--link", str(self.folder / "port"), "--log", str(self.log), "--json"]
-        self.process = start("emulate", str(trace), *link, *flags)
-        while not (self.folder / "port").is_symlink():
+        link, self.log = trace.with_suffix(".port"), trace.with_suffix(".log")
+        self.port = f"{link}*"
+        self.process = start("emulate", str(trace), "--link", str(link), "--log", str(self.log), "--json", *flags)
+        while not link.is_symlink():
             if self.process.poll() is not None:
                 raise RuntimeError(self.process.stderr.read())
             time.sleep(0.02)
@@ -242,11 +240,15 @@ def round_trip(folder: Path, form: str) -> dict:
 
 
 def main() -> None:
+    with tempfile.TemporaryDirectory(prefix="glove_figures") as folder:
+        measure(Path(folder))
+
+
+def measure(folder: Path) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=600.0, help="with every fault on")
     parser.add_argument("--kills", type=int, default=100)
     arguments = parser.parse_args()
-    folder = Path(tempfile.mkdtemp(prefix="glove_figures"))
     print(f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
 
     rates = lock_step_for(10.0, folder)
