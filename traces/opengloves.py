@@ -64,11 +64,11 @@ class Decoder:
 
     def decode(self, line: bytes) -> Reading | None:
         """The reading of a line without its end; None for an info packet. Raises Rejected."""
-        if b"&" in line:
+        if _LEGACY.search(line):
             return self._legacy(line)
         found = _LINE.search(line)
         if found is None:
-            raise Rejected("garbage")
+            raise Rejected("cut" if re.fullmatch(rb"\d+(&\d*)+", line) else "garbage")
         fields = [(key.decode(), digits) for key, digits in _FIELD.findall(line, found.start())]
         broken = found.start() > 0
         names = [key for key, _ in fields]
@@ -122,8 +122,7 @@ class Decoder:
     def _legacy(self, line: bytes) -> Reading:
         """Thirteen numbers joined by &: five curls, joystick x and y, click, trigger, A, B, grab, pinch."""
         found = _LEGACY.search(line)
-        if found is None:
-            raise Rejected("cut" if re.fullmatch(rb"[\d&]+", line) else "garbage")
+        assert found is not None
         if found.start() > 0 and line[found.start() - 1 : found.start()] == b"&":
             raise Rejected("garbage")  # more than thirteen: which of them are the line's is not to be known
         numbers = [int(part) for part in found.group().split(b"&")]
