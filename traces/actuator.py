@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from palmar.errors import PalmarError
+from palmar.model import Array
 from palmar.traces.columns import nearest
-from palmar.traces.kinematics import Array
 from palmar.traces.opengloves import FORCE_FULL_SCALE
 
 ALLOWED = {

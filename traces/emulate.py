@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from palmar.model import HandModel
+from palmar.model import Array, HandModel
 from palmar.records import Trace
 from palmar.traces.glove_angles import readings_from_angles
-from palmar.traces.kinematics import Array
 from palmar.traces.line_faults import Faults, Log, Piece
 from palmar.traces.opengloves import NO_FORCE, Reading, decode_force, encode_reading
 from palmar.traces.wire import OPENED_S, Pty, Server

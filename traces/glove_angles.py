@@ -12,10 +12,9 @@ import numpy as np
 from palmar._runtime import read_device_bytes
 from palmar.coupling import complete_flexion
 from palmar.errors import BadTrace
-from palmar.model import HandModel
+from palmar.model import Array, HandModel
 from palmar.profile import Profile
 from palmar.records import Trace, read_trace
-from palmar.traces.kinematics import Array
 from palmar.traces.line_buffer import LineBuffer
 from palmar.traces.opengloves import LONGEST_LINE, Decoder, Reading, Rejected
 from palmar.traces.readings import angles_of

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from palmar._runtime import Session
+from palmar.model import Array
 from palmar.traces.actuator import Actuator, Feedback
-from palmar.traces.kinematics import Array
 from palmar.traces.opengloves import encode_force
 from palmar.traces.pose_stream import Placed
 

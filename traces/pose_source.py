@@ -17,12 +17,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from palmar.errors import PalmarError
-from palmar.model import HandModel
+from palmar.model import Array, HandModel
 from palmar.records import Trace, read_trace
-from palmar.traces.kinematics import Array
 from palmar.traces.pose_stream import Placed, PoseStream, between, unit_pose
-from palmar.traces.scene_file import Sampled, cases_of, check_scene
-from palmar.traces.scripted import load_scene
 
 KEY_STEP_M = 0.005
 KEY_STEP_RAD = 0.05
@@ -67,14 +64,7 @@ def open_pose(text: str, hand: HandModel, *, offset_s: float = 0.0, mount: str =
         return KeyboardPose()
     if Path(text).suffix == ".mcap":
         return PlayedPose(read_trace(text), f"the palm of {Path(text).name}")
-    keys, where, _ = load_scene(text)
-    scene = check_scene(cases_of(keys, str(where))[0][1] if "sweep" in keys else keys, str(where))
-    if not isinstance(scene, Sampled):
-        needed = f"a scene of kind keys or random is needed; or `palmar script {text} PACK -o X.mcap` and --pose X.mcap"
-        raise PalmarError("E-CONF", str(where), f"kind {scene.kind!r} is made to fit an object; {needed}")
-    from palmar.traces.keyframes import key_trace
-
-    return PlayedPose(key_trace(scene, hand), f"the scene {where.name}")
+    return _scene_pose(text, hand)
 
 
 class ConstantPose:
@@ -186,3 +176,17 @@ class KeyboardPose:
 
     def close(self) -> None:
         self._restore()
+
+
+def _scene_pose(text: str, hand: HandModel) -> PlayedPose:
+    # What scenes need takes half a second to load; other recordings start without.
+    from palmar.traces.keyframes import key_trace
+    from palmar.traces.scene_file import Sampled, cases_of, check_scene
+    from palmar.traces.scripted import load_scene
+
+    keys, where, _ = load_scene(text)
+    scene = check_scene(cases_of(keys, str(where))[0][1] if "sweep" in keys else keys, str(where))
+    if not isinstance(scene, Sampled):
+        needed = f"a scene of kind keys or random is needed; or `palmar script {text} PACK -o X.mcap` and --pose X.mcap"
+        raise PalmarError("E-CONF", str(where), f"kind {scene.kind!r} is made to fit an object; {needed}")
+    return PlayedPose(key_trace(scene, hand), f"the scene {where.name}")

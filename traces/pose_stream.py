@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from palmar.errors import GloveError, PalmarError
-from palmar.traces.kinematics import Array
+from palmar.model import Array
 from palmar.traces.line_buffer import LineBuffer
 from palmar.traces.port import RETRY_S, Port, require_port
 

@@ -10,10 +10,9 @@ import numpy as np
 
 from palmar.coupling import complete_flexion
 from palmar.errors import BadTrace, PalmarError
-from palmar.model import FINGERS, JOINTS, HandModel
+from palmar.model import FINGERS, JOINTS, Array, HandModel
 from palmar.profile import FingerMeasures, Profile
 from palmar.records import Trace
-from palmar.traces.kinematics import Array
 
 OUTLIERS = (2.0, 98.0)  # percentiles taken for the open hand and the fist: a spike of a sensor is no range
 UNREAD_RAD = 0.1  # a reading that changes by less between open hand and fist is of no joint

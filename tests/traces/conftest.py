@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palmar.model import HandModel, SphereTree
+from palmar.model import AssetPack, HandModel, SphereTree, save_pack
 from palmar.records import Trace
 from palmar.tools.hierarchy import bounds_over
 
@@ -82,3 +82,15 @@ def moving(hand: HandModel) -> Trace:
         object_position_m=np.zeros((400, 3)),
         object_rotation_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (400, 1)),
     )
+
+
+@pytest.fixture(scope="session")
+def ball_pack(hand: HandModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ball in front of the palm of a hand that stands at the origin, where its fingers close."""
+    ball = np.array([[0.0, 0.06, -0.045, 0.03]])
+    corners = 0.03 * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]]) + ball[:, :3]
+    about = {"levels": [{"spheres": 1}]}
+    tree = SphereTree([ball], [bounds_over(ball)], corners, np.zeros((0, 3), dtype=np.int32), about)
+    path = tmp_path_factory.mktemp("pack") / "ball.pack"
+    save_pack(path, AssetPack(hand, {"ball": tree}, {}))
+    return path

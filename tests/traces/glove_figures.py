@@ -213,12 +213,12 @@ def has_samples(path: Path) -> bool:
         return False
 
 
-def round_trip(folder: Path, form: str) -> dict:
+def round_trip(folder: Path, form: str, seconds: float = 4.0) -> dict:
     """Emulator -> record -> trace against the source, at the encoding's own steps."""
     source = moving_trace(folder / "source.mcap", 5.0)
     hand = find_hand(None)
     glove = Glove(folder / "source.mcap", "--form", form, "--poses-to", "udp://127.0.0.1:47000", "--count-lines")
-    record(glove.port, folder / f"back_{form}.mcap", "--duration-s", "4", "--pose", "udp://127.0.0.1:47000")
+    record(glove.port, folder / f"back_{form}.mcap", "--duration-s", str(seconds), "--pose", "udp://127.0.0.1:47000")
     glove.stop()
     back = read_trace(folder / f"back_{form}.mcap")
     played_s = {entry["line"]: entry["played_s"] for entry in glove.sent() if entry["kind"] == "good"}

@@ -46,7 +46,8 @@ def test_steps_of_the_quantum_are_rounded_down():
 
 
 def test_what_is_not_finite_is_no_force():
-    broken = forces([math.nan, math.inf, 5, 5, 5])
+    broken = forces([0, 0, 5, 5, 5])
+    broken[:2, 0] = math.nan, math.inf
     torque = OPENS.copy()
     torque[4] = math.nan
     assert Feedback(Actuator()).levels(0.0, broken, torque) == [0, 0, 250, 250, 0]

@@ -88,7 +88,9 @@ def test_palm_is_placed_by_the_mount_of_the_tracker(address):
     stream.receive(1.0)
     placed = stream.at(1.0)
     # Exact but for rounding of some products; q and -q are one rotation.
-    np.testing.assert_allclose(placed.position_m, TURN.apply([0.01, -0.02, 0.03]) + [0.1, 0.2, 0.3], atol=1e-12)
+    np.testing.assert_allclose(
+        placed.position_m, TURN.apply([0.01, -0.02, 0.03]) + np.array([0.1, 0.2, 0.3]), atol=1e-12
+    )
     assert abs(np.dot(placed.rotation_wxyz, quaternion(TURN * mount))) == pytest.approx(1.0, abs=1e-12)
     stream.close()
 
