@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palmar.coupling import complete_flexion
 from palmar.errors import BadTrace, PalmarError
@@ -89,5 +90,5 @@ def angles_of(flexion_rad: Array, hand: HandModel, profile: Profile) -> Array:
     return complete_flexion(hand, np.where(_still(reading), np.nan, np.clip(closed * high, low, high)))
 
 
-def _still(reading: Array) -> Array:
+def _still(reading: Array) -> NDArray[np.bool_]:
     return np.abs(reading[..., 1] - reading[..., 0]) < UNREAD_RAD

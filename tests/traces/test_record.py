@@ -103,7 +103,7 @@ def test_lines_become_raw_bytes_readings_and_samples(bench, hand):
     pip = np.minimum(mcp * hand.flexion_coupling[:, 0], hand.flexion_limit_rad[:, 1, 1])
     np.testing.assert_array_equal(trace.flexion_rad[:20, :, 1], pip)
     assert summary["lines"] == {"received": 20, "decoded": 20, "rejected": 0}
-    header, chunks = read_device_bytes(str(bench.out))
+    _, chunks = read_device_bytes(str(bench.out))
     assert b"".join(content for _, content in chunks) == b"".join(line(100 * k) for k in range(1, 21))
     with bench.out.open("rb") as stream:
         messages = list(make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages())
@@ -272,6 +272,6 @@ def test_wrong_flags_are_refused_and_leave_no_file(tmp_path, wire, flags, said):
 def test_a_recording_is_never_written_over(tmp_path, wire):
     out = tmp_path / "x.mcap"
     out.write_text("kept")
-    with pytest.raises(PalmarError, match="E-FILE-PLACE .* is there already"):
+    with pytest.raises(PalmarError, match=r"E-FILE-PLACE .* is there already"):
         record("opengloves", [wire.name], out)
     assert out.read_text() == "kept"
