@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import statistics
 
-LEARN = 50  # intervals before there is a period
-LONGEST_GAP = 20.0  # periods: after a longer silence the count of lines is not to be known, and a new stretch begins
+LEARN = 200  # intervals before there is a period
+LOOK_EVERY = 400  # lines
+# Standard deviation of a wrong count of lines is 0.29 periods: whatever is farther out than this is counted anew.
+WRONG = 0.22
+LONGEST_GAP = 20  # periods: after a longer silence the count of lines is not to be known, and a new stretch begins
 
 
 class Arrivals:
@@ -23,7 +27,7 @@ class Arrivals:
         self._period = math.nan  # of the first intervals, then of the fit
         self._slope_top = self._slope_bottom = 0.0  # of the stretches that are over
         self._squares = 0.0
-        self._points = self._stretches = 0
+        self._points = 0
         self._begin(0.0)
 
     def add(self, time_s: float) -> None:
@@ -66,16 +70,21 @@ class Arrivals:
     def _learn(self, time_s: float) -> None:
         self._first.append(time_s)
         if len(self._first) > LEARN:
-            steps = [b - a for a, b in zip(self._first, self._first[1:], strict=False) if b > a]
-            self._period = statistics.median(steps) if steps else math.nan
-            if math.isnan(self._period):
-                self._first.clear()
-                return
             first, self._first = self._first, []
-            self.count -= len(first)
+            steps = [b - a for a, b in itertools.pairwise(first)]
+            usual = statistics.median([step for step in steps if step > 0] or [math.nan])
+            if math.isnan(usual):
+                return
+            # How many lines each interval is, from the interval alone: an error of the usual one does not add up.
             self._begin(first[0])
-            for time in first:
-                self.add(time)
+            self._period = usual
+            number = 0
+            self._take(0, 0.0)
+            for time, step in zip(first[1:], steps, strict=True):
+                number += min(round(step / usual), LONGEST_GAP)
+                if number > self._number:
+                    self._take(number, time - self._zero)
+            self._period = self.period_s
 
     def _begin(self, zero_s: float) -> None:
         self._zero, self._n, self._number = zero_s, 0, 0
@@ -93,6 +102,14 @@ class Arrivals:
         self._ctt += off_t * (after_s - self._mean_t)
         if self._ckk > 0 and self._points + self._n > LEARN:
             self._period = self.period_s
+            if self._n % LOOK_EVERY == 0 and self.jitter_s > WRONG * self._period:
+                self._forget()
+
+    def _forget(self) -> None:
+        self._period, self._first = math.nan, []
+        self._slope_top = self._slope_bottom = self._squares = 0.0
+        self._points = 0
+        self._begin(0.0)
 
     def _line_at_zero(self) -> float:
         return self._zero + self._mean_t - self._period * self._mean_k
@@ -105,4 +122,3 @@ class Arrivals:
         self._slope_bottom += self._ckk
         self._squares += self._ctt
         self._points += self._n
-        self._stretches += 1

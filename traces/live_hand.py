@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from palmar._runtime import Session
-from palmar.model import Array
 from palmar.traces.actuator import Actuator, Feedback
 from palmar.traces.opengloves import encode_force
 from palmar.traces.pose_stream import Placed
@@ -23,10 +22,10 @@ class LiveHand:
         self.levels: list[int] = []  # of the last step; empty where there is nothing to send
         self._steps = self._in_contact = 0
 
-    def step(self, time_s: float, placed: Placed, flexion_rad: Array, abduction_rad: Array) -> None:
-        """flexion_rad (5, 3), abduction_rad (5,). Times must rise."""
+    def step(self, time_s: float, placed: Placed, flexion_rad: list[float], abduction_rad: list[float]) -> None:
+        """15 flexions and 5 abductions. Times must rise."""
         position, rotation = np.array(placed.position_m), np.array(placed.rotation_wxyz)
-        answer = self._session.step(time_s, position, rotation, flexion_rad, abduction_rad)
+        answer = self._session.step(time_s, position, rotation, np.array(flexion_rad), np.array(abduction_rad))
         self._steps += 1
         self._in_contact += bool(answer["contacts"])
         if self._feedback is not None:

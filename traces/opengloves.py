@@ -74,12 +74,14 @@ class Decoder:
         names = [key for key, _ in fields]
         if len(set(names)) < len(names):
             fields, broken = _after_repeat(fields), True
+        if "Z" in names:
+            # What stands before it is the rest of a broken line, or the end of noise.
+            info = [key for key, _ in fields].index("Z")
+            if {key for key, _ in fields[info:]} <= _INFO:
+                self._inform(dict(fields[info:]))
+                return None
+            fields, broken = fields[info + 1 :], True
         values = dict(fields)
-        if values.keys() & _INFO:
-            if broken:
-                raise Rejected("garbage")
-            self._inform(values)
-            return None
         try:
             reading = self._reading(values)
         except Rejected:
@@ -141,8 +143,6 @@ class Decoder:
         return Reading(flexion, [math.nan] * 5, stick, float(numbers[8]), buttons)
 
     def _inform(self, values: dict[str, bytes]) -> None:
-        if not values.keys() <= _INFO:
-            raise Rejected("garbage")
         if values.get("(ZH)") in (b"0", b"1"):
             self.hand = int(values["(ZH)"])
 

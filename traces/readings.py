@@ -30,7 +30,7 @@ def calibrate_readings(trace: Trace, name: str) -> tuple[Profile, dict[str, Any]
     if len(flexion) < ENOUGH:
         raise BadTrace("E-TRACE-EMPTY", source, f"{len(flexion)} tracked samples; {ENOUGH} are needed")
     reading = np.moveaxis(np.percentile(flexion, OUTLIERS, axis=0), 0, -1)  # (5, 3, 2)
-    still = _still(reading)
+    still = is_still(reading)
     for f, finger in enumerate(FINGERS):
         if still[f].all():
             found = f"no joint of the {finger} moves by {UNREAD_RAD:g} rad"
@@ -87,8 +87,8 @@ def angles_of(flexion_rad: Array, hand: HandModel, profile: Profile) -> Array:
     low, high = hand.flexion_limit_rad[..., 0], hand.flexion_limit_rad[..., 1]
     with np.errstate(divide="ignore", invalid="ignore"):
         closed = (flexion_rad - reading[..., 0]) / (reading[..., 1] - reading[..., 0])
-    return complete_flexion(hand, np.where(_still(reading), np.nan, np.clip(closed * high, low, high)))
+    return complete_flexion(hand, np.where(is_still(reading), np.nan, np.clip(closed * high, low, high)))
 
 
-def _still(reading: Array) -> NDArray[np.bool_]:
+def is_still(reading: Array) -> NDArray[np.bool_]:
     return np.abs(reading[..., 1] - reading[..., 0]) < UNREAD_RAD

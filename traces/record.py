@@ -16,7 +16,7 @@ from palmar.errors import BadTrace
 from palmar.model import HandModel
 from palmar.profile import Profile
 from palmar.traces.arrivals import Arrivals
-from palmar.traces.glove_angles import STAGGER_S, angles_from_readings
+from palmar.traces.glove_angles import STAGGER_S, AngleMap
 from palmar.traces.line_buffer import LineBuffer
 from palmar.traces.live_hand import LiveHand
 from palmar.traces.opengloves import ANSWER, CALIBRATE, LONGEST_LINE, NO_FORCE, Decoder, Reading, Rejected
@@ -73,8 +73,9 @@ class Recorder:
         passive: bool = False,
         start_s: float,
     ) -> None:
-        self.port, self.pose, self.recording, self.hand = port, pose, recording, hand
-        self.profile, self.decoder, self.live, self.passive = profile, decoder, live, passive
+        self.port, self.pose, self.recording = port, pose, recording
+        self.decoder, self.live, self.passive = decoder, live, passive
+        self._map = AngleMap(hand, profile)
         self.tally, self.arrivals = Tally(), Arrivals()
         self.last: Reading | None = None
         self.failed: BadTrace | None = None
@@ -129,6 +130,7 @@ class Recorder:
             if self.time_s >= self._retry_s:
                 self._retry_s = self.time_s + RETRY_S
                 if self.port.connect():
+                    self.decoder.hand = None  # another glove may have been plugged in
                     self._send(NO_FORCE if self.live else b"")
         elif self.port.fileno() in self._ready:
             content = self.port.read()
@@ -168,15 +170,14 @@ class Recorder:
 
     def _measure(self, readings: list[Reading]) -> None:
         """Samples of the lines of one chunk; they came together and are a microsecond apart."""
-        flexion, abduction = angles_from_readings(readings, self.hand, self.profile)
-        rows = zip(readings, flexion.reshape(-1, 15).tolist(), abduction.tolist(), strict=True)
-        for reading, flexions, abductions in rows:
+        for reading in readings:
+            flexion, abduction = self._map.angles(reading)
             when = max(self.time_s, self._pending[-1][0] + STAGGER_S if self._pending else self._sample_s + STAGGER_S)
             self._end_silence(when)
             self._good_s = when
             self.arrivals.add(self.time_s)
             self.recording.add_reading(when, *reading)
-            self._pending.append((when, flexions, abductions))
+            self._pending.append((when, flexion, abduction))
             pressed = bool(reading.buttons & CALIBRATE)
             self.tally.calibrations += pressed and not self._pressed
             self._pressed = pressed
@@ -185,7 +186,7 @@ class Recorder:
         if self.live is not None:
             placed = self.pose.at(self._good_s)
             if placed.known:
-                self.live.step(self._good_s, placed, flexion[-1], abduction[-1])
+                self.live.step(self._good_s, placed, flexion, abduction)
             elif not self._let_go:
                 self._release()
 

@@ -239,6 +239,17 @@ def round_trip(folder: Path, form: str, seconds: float = 4.0) -> dict:
     return answer
 
 
+def show_faults(figures: dict) -> None:
+    """The table of docs/record.md."""
+    recorder, sent = figures["recorder"], figures["emulated"]
+    faults = ", ".join(f"{kind} {count}" for kind, count in sent.items() if kind != "good")
+    print(f"every fault on, {figures['seconds']:.0f} s: {figures['good_lines_sent']} good lines; {faults}")
+    print(f"  good lines lost {figures['good_lines_lost']}, readings that no good line was {figures['wrong_readings']}")
+    print(f"  lines {recorder['lines']}, rejected {recorder['rejected']}")
+    print(f"  broken parts before good lines {recorder['broken parts before good lines']}, gaps {recorder['gaps']}")
+    print(f"  clock {recorder['clock']}, the glove's was 80 ppm slow; CPU {figures['cpu_percent']:.2f} % of a core")
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory(prefix="glove_figures") as folder:
         measure(Path(folder))
@@ -263,8 +274,7 @@ def measure(folder: Path) -> None:
     lost = np.array(killed["lost_s"]) * 1e3
     print(f"killed {killed['kills']} times: {killed['unreadable']} files unreadable, of the last samples")
     print(f"  lost p50 {np.median(lost):.0f}, max {lost.max():.0f} ms")
-    figures = faults_for(arguments.seconds, folder)
-    print(json.dumps(figures, indent=1))
+    show_faults(faults_for(arguments.seconds, folder))
     print(f"load average {os.getloadavg()[0]:.1f}")
 
 

@@ -150,6 +150,15 @@ def test_a_glove_that_sends_other_keys_from_now_on_is_believed_after_a_while():
     assert rejected_as(decoder, LINE) == "other keys"
 
 
+def test_an_info_packet_is_no_reading_also_behind_a_broken_line():
+    decoder = Decoder()
+    decoder.decode(LINE)
+    for content in (b"Z(ZV)5(ZG)1(ZH)0", b"A100B20Z(ZH)1", b"\xffZ(ZH)0"):
+        assert decoder.decode(content) is None
+        assert decoder.hand == int(content[-1:])
+    assert as_lines([decoder.decode(b"noiseZ" + LINE)]) == [LINE]
+
+
 def test_what_is_wrong_with_a_line_is_named():
     decoder = Decoder()
     assert rejected_as(decoder, b"A100B200C300") == "cut"

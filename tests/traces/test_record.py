@@ -10,15 +10,18 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from palmar._runtime import DeviceRecording, read_device_bytes
+from palmar.coupling import complete_flexion
 from palmar.errors import PalmarError
+from palmar.profile import FingerMeasures, Profile
 from palmar.recording import record
 from palmar.records import read_trace
 from palmar.traces.actuator import Actuator
-from palmar.traces.glove_angles import read_opengloves
+from palmar.traces.glove_angles import AngleMap, read_opengloves
 from palmar.traces.live_hand import LiveHand
-from palmar.traces.opengloves import NO_FORCE, Decoder, decode_force
+from palmar.traces.opengloves import NO_FORCE, Decoder, Reading, decode_force
 from palmar.traces.port import Port, candidates
 from palmar.traces.pose_source import open_pose
+from palmar.traces.readings import angles_of
 from palmar.traces.record import Recorder, summarise_recording
 from palmar.traces.wire import Pty, Server
 
@@ -230,6 +233,28 @@ def test_a_glove_on_a_socket(tmp_path, hand):
     bench.decode(line(6), 2)
     assert len(bench.close()["port"]["opened"]) == 2
     server.close()
+
+
+@pytest.mark.parametrize("with_profile", [False, True])
+def test_angles_of_a_reading_are_those_of_the_coupling_and_the_profile(hand, with_profile):
+    generator = np.random.default_rng(5)
+    ends = np.stack([generator.uniform(0, 0.5, (5, 3)), generator.uniform(0.8, 1.5, (5, 3))], axis=-1)
+    ends[2, 1] = 0.3  # a joint that the profile says is not read
+    fingers = tuple(FingerMeasures(reading_rad=end) for end in ends)
+    profile = Profile("x", "right", "made", fingers=fingers, device="opengloves") if with_profile else None
+    angle_map = AngleMap(hand, profile)
+    for _ in range(50):
+        share = generator.uniform(0, 1, (5, 3))
+        share[generator.random((5, 3)) < 0.4] = np.nan
+        share[:, 0] = np.where(np.isnan(share).all(axis=1) | (np.arange(5) == 2), 0.5, share[:, 0])
+        flexion, abduction = angle_map.angles(Reading(share.ravel().tolist(), [-1, 1, 0, 0.5, np.nan], (0, 0), 0, 0))
+        if profile is None:
+            expected = complete_flexion(hand, share[None] * hand.flexion_limit_rad[..., 1])
+        else:
+            expected = angles_of(share[None] * np.pi / 2, hand, profile)
+        # The same sums in another order.
+        np.testing.assert_allclose(np.reshape(flexion, (5, 3)), expected[0], atol=1e-12)
+        np.testing.assert_allclose(abduction, [-0.4, 0.4, 0, 0.2, 0])
 
 
 def test_names_of_ports_are_patterns_paths_and_sockets(tmp_path):
