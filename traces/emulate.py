@@ -162,6 +162,7 @@ class Emulator:
         # What is still in the wire would be lost; a test could not tell that from a fault of the host.
         time.sleep(OPENED_S)
         self.wire.unplug()
+        self._other_until = 0.0  # what comes back says nothing of another hand
         self.sent["unplug"] += 1
         time.sleep(away_s)
         self.wire.plug()
