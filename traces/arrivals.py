@@ -81,8 +81,13 @@ class Arrivals:
             number = 0
             self._take(0, 0.0)
             for time, step in zip(first[1:], steps, strict=True):
-                number += min(round(step / usual), LONGEST_GAP)
-                if number > self._number:
+                number += min(round(step / usual), LONGEST_GAP + 1)
+                if number - self._number > LONGEST_GAP:
+                    self._end_stretch()
+                    self._begin(time)
+                    number = 0
+                    self._take(0, 0.0)
+                elif number > self._number:
                     self._take(number, time - self._zero)
             self._period = self.period_s
 

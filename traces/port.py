@@ -109,12 +109,12 @@ def candidates(names: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def require_port(port: Port) -> None:
+def require_port(port: Port, flag: str) -> None:
     """Open a port for the first time. Raises GloveError E-GLOVE-PORT that names those that are there."""
     if not port.connect():
         there = [f"{p.device} ({p.description}, usb:{p.serial_number})" for p in _listed() if p.serial_number]
         seen = f"; ports here: {', '.join(there)}" if there else "; no USB serial port is plugged in"
-        raise GloveError("E-GLOVE-PORT", "--port", f"{port.problem}{seen}")
+        raise GloveError("E-GLOVE-PORT", flag, f"{port.problem}{seen}")
 
 
 def _listed() -> list[Any]:

@@ -19,6 +19,7 @@ import numpy as np
 from palmar.errors import PalmarError
 from palmar.model import Array, HandModel
 from palmar.records import Trace, read_trace
+from palmar.traces.columns import nearest
 from palmar.traces.pose_stream import Placed, PoseStream, between, unit_pose
 
 KEY_STEP_M = 0.005
@@ -54,6 +55,10 @@ def open_pose(text: str, hand: HandModel, *, offset_s: float = 0.0, mount: str =
     """
     kind, _, rest = text.partition(":")
     if kind not in ("constant", "keyboard") and Path(text).suffix not in (".toml", ".mcap"):
+        if not text.startswith(("/", "./", "usb:")) and "://" not in text:
+            known = ["constant", "keyboard"]
+            kinds = "constant, keyboard, a .toml or .mcap file, udp://, socket://, usb: or the path of a port"
+            raise PalmarError("E-CONF", "--pose", f"{text!r}{nearest(text, known)}; {kinds} is allowed")
         return PoseStream(text, offset_s=offset_s, mount=unit_pose("--pose-mount", mount), baud=baud)
     for flag, given in (("--pose-offset-ms", offset_s), ("--pose-mount", mount)):
         if given:

@@ -57,7 +57,7 @@ class PoseStream:
             self._udp = _bind(name)
         else:
             self._port = Port([name], baud)
-            require_port(self._port)
+            require_port(self._port, "--pose")
         joined = f"put {offset_s * 1e3:g} ms earlier than they came" if offset_s else "taken to be of when they came"
         self.about = f"Palm poses came as a stream from {name} and are {joined}; samples between two are interpolated."
 

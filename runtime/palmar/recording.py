@@ -76,7 +76,7 @@ def record(
     start_s, started = time.monotonic(), datetime.now(UTC)
     source = open_pose(pose, hand, offset_s=pose_offset_ms / 1e3, mount=pose_mount, baud=baud)
     with closing(source), closing(Port(ports, baud)) as port:
-        require_port(port)
+        require_port(port, "--port")
         header = {
             "device": DEVICE,
             "hand": str(hand.about.get("name", "")),
@@ -246,10 +246,11 @@ def _recorder_line(meter: RateMeter) -> Callable[[Recorder], str]:
         if not recorder.port.is_open:
             return f"{clock(recorder.time_s)}  {tally.samples} samples  waiting for {recorder.port.problem}"
         jitter = recorder.arrivals.jitter_s * 1e3
+        spread = "  ..." if math.isnan(jitter) else f"{jitter:5.2f}"
         shares = [math.nan] * 5 if recorder.last is None else _curls(recorder.last.flexion)
         rejected = tally.rejected.total() + recorder.overlong
         line = f"{clock(recorder.time_s)}  {meter.rate(recorder.time_s, tally.decoded):6.1f} Hz  "
-        line += f"jitter {jitter:.2f} ms  {tally.samples} samples  {rejected} rejected  {tally.gaps} gaps  "
+        line += f"jitter {spread} ms  {tally.samples} samples  {rejected} rejected  {tally.gaps} gaps  "
         if recorder.recording.dropped:
             line += f"{recorder.recording.dropped} dropped  "
         line += bars(shares)

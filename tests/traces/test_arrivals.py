@@ -42,6 +42,13 @@ def test_jitter_is_the_spread_of_the_lateness():
     assert arrivals_of(20_000, 0.005, 2, faulty=False).jitter_s == pytest.approx(expected, rel=0.03)
 
 
+def test_a_gap_among_the_first_lines_is_no_jitter():
+    arrivals = Arrivals()
+    for number in range(1000):
+        arrivals.add(0.005 * number + (0.7 if number > 90 else 0.0))
+    assert arrivals.period_s == pytest.approx(0.005, rel=1e-9) and arrivals.jitter_s < 1e-6
+
+
 def test_few_lines_have_no_period_and_none_at_once_neither():
     arrivals = Arrivals()
     for _ in range(200):

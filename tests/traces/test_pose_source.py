@@ -133,8 +133,9 @@ def _scene(name):
         ("constant:0,0,0,2,0,0,0", {}, "E-CONF --pose"),
         ("constant", {"offset_s": 0.1}, "E-USAGE --pose-offset-ms: is for a stream"),
         ("grasp.toml", {}, "E-CONF"),
+        ("konstant", {}, r"E-CONF --pose: 'konstant' \(nearest: constant\); constant, keyboard, a .toml"),
         ("udp://127.0.0.1", {}, "udp://HOST:PORT is needed"),
-        ("/dev/no-such-port", {}, "E-GLOVE-PORT"),
+        ("/dev/no-such-port", {}, "E-GLOVE-PORT --pose"),
     ],
 )
 def test_a_wrong_pose_is_refused(hand, text, flags, said):
