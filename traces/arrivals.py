@@ -9,7 +9,8 @@ import statistics
 LEARN = 200  # intervals before there is a period
 LOOK_EVERY = 400  # lines
 # Standard deviation of a wrong count of lines is 0.29 periods: whatever is farther out than this is counted anew.
-WRONG = 0.22
+WRONG = 0.26
+EARLY = 0.3  # periods before the line that still belong to it; a busy machine makes lines late, none early
 LONGEST_GAP = 20  # periods: after a longer silence the count of lines is not to be known, and a new stretch begins
 
 
@@ -36,7 +37,7 @@ class Arrivals:
         if math.isnan(self._period):
             self._learn(time_s)
             return
-        number = round((time_s - self._line_at_zero()) / self._period) if self._n else 0
+        number = math.floor((time_s - self._line_at_zero()) / self._period + EARLY) if self._n else 0
         if self._n and number - self._number > LONGEST_GAP:
             self._end_stretch()
             self._begin(time_s)
@@ -60,6 +61,11 @@ class Arrivals:
             return math.nan
         squares = self._squares + self._ctt - top * top / bottom
         return math.sqrt(max(squares, 0.0) / points)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the arrivals are so near to a clock's that the period means something."""
+        return self.jitter_s < WRONG * self.period_s
 
     @property
     def period_error_s(self) -> float:

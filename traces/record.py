@@ -257,9 +257,11 @@ class Recorder:
 def summarise_recording(recorder: Recorder, nominal_hz: float | None) -> dict[str, Any]:
     """What was recorded and what was lost, in plain values."""
     tally, arrivals, port = recorder.tally, recorder.arrivals, recorder.port
-    period = arrivals.period_s
+    period = arrivals.period_s if arrivals.is_known else math.nan
+    # Where arrivals are too wild for a clock, lines over time is what can be said.
+    plain = tally.decoded / max(recorder.time_s - tally.gap_s, 1e-9)
     clock: dict[str, float | None] = {
-        "rate_hz": None if math.isnan(period) else 1.0 / period,
+        "rate_hz": plain if math.isnan(period) else 1.0 / period,
         "jitter_ms": None if math.isnan(arrivals.jitter_s) else arrivals.jitter_s * 1e3,
     }
     # A device whose rate is another one has no drift from it.

@@ -221,8 +221,7 @@ def _finish(recorder: Recorder, out: Path, rate_hz: float | None) -> dict[str, A
         raise GloveError("E-GLOVE-SILENT", ", ".join(recorder.port.opened), found)
     if recorder.failed is None:
         end = {"changed": json.dumps(_changed(summary)), "recorded": json.dumps(summary)}
-        if not math.isnan(recorder.arrivals.period_s):
-            end["rate_hz"] = f"{1.0 / recorder.arrivals.period_s:.6g}"
+        end["rate_hz"] = f"{summary['clock']['rate_hz']:.6g}"
         recorder.recording.close(end)
     answer = {"out": str(out), **summary}
     if recorder.failed is not None:

@@ -73,7 +73,7 @@ class Glove:
 
     def stop(self) -> dict:
         """What it sent."""
-        self.process.send_signal(signal.SIGINT)
+        os.kill(self.process.pid, signal.SIGINT)  # not by Popen, which may reap it first
         return answer_of(self.process)[0]
 
     def sent(self) -> list[dict]:
