@@ -262,7 +262,7 @@ def summarise_recording(recorder: Recorder, nominal_hz: float | None) -> dict[st
     plain = tally.decoded / max(recorder.time_s - tally.gap_s, 1e-9)
     clock: dict[str, float | None] = {
         "rate_hz": plain if math.isnan(period) else 1.0 / period,
-        "jitter_ms": None if math.isnan(arrivals.jitter_s) else arrivals.jitter_s * 1e3,
+        "jitter_ms": arrivals.jitter_s * 1e3 if arrivals.is_known else None,
     }
     # A device whose rate is another one has no drift from it.
     if nominal_hz is not None and abs(period * nominal_hz - 1.0) < SAME_RATE:
