@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from palmar._runtime import DeviceRecording
-from palmar.errors import BadPack, GloveError, PalmarError
+from palmar.errors import BadPack, BadTrace, GloveError, PalmarError
 from palmar.model import HandModel, load_pack
 from palmar.profile import Profile, fit_to_profile
 from palmar.records import read_trace
@@ -226,9 +226,18 @@ def _finish(recorder: Recorder, out: Path, rate_hz: float | None) -> dict[str, A
     answer = {"out": str(out), **summary}
     if recorder.failed is not None:
         answer["failed"] = str(recorder.failed)
+        answer["samples in the file"] = _count_whole(out)
     if recorder.decoder.largest * 4 < recorder.decoder.full_scale:
         answer["hint"] = f"no count was above {recorder.decoder.largest}: an AVR has --full-scale 1023"
     return answer
+
+
+def _count_whole(out: Path) -> int:
+    """Samples that can be read of a file that was not ended."""
+    try:
+        return len(read_trace(out).time_s)
+    except BadTrace:
+        return 0
 
 
 def _changed(summary: dict[str, Any]) -> dict[str, Any]:

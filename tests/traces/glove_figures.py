@@ -80,8 +80,8 @@ class Glove:
         return [json.loads(line) for line in self.log.read_text().splitlines()]
 
 
-def start(*arguments: str) -> subprocess.Popen:
-    return subprocess.Popen([*PALMAR, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+def start(*arguments: str, **how) -> subprocess.Popen:
+    return subprocess.Popen([*PALMAR, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **how)
 
 
 def answer_of(process: subprocess.Popen) -> tuple[dict, float]:

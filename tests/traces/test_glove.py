@@ -1,6 +1,7 @@
 """`palmar record` and `palmar emulate` as a person runs them; `glove_figures.py` measures the same for minutes."""
 
 import json
+import resource
 import signal
 
 import glove_figures
@@ -41,6 +42,20 @@ def test_ctrl_c_ends_a_recording_cleanly(tmp_path):
     assert process.returncode == 0 and "samples" in told and complaints == ""
     trace = read_trace(out)
     assert not any(trace.lost.values()) and json.loads(trace.header["recorded"])["samples"] == trace.tracked.sum()
+
+
+def test_a_full_disk_costs_the_end_alone_and_exit_code_3(tmp_path):
+    glove_figures.moving_trace(tmp_path / "source.mcap", 2.0)
+    glove = glove_figures.Glove(tmp_path / "source.mcap", "--loop")
+    out = tmp_path / "out.mcap"
+    process = glove_figures.start(
+        *("record", "--device", "opengloves", "--port", glove.port, "-o", str(out), "--json"),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)),
+    )
+    told, complaint = process.communicate()
+    glove.stop()
+    assert process.returncode == 3 and complaint.startswith("E-TRACE-WRITE") and complaint.count("\n") == 1
+    assert json.loads(told)["samples in the file"] == len(read_trace(out).time_s) > 0
 
 
 @pytest.mark.parametrize(
