@@ -10,7 +10,7 @@ SOURCE = TOP / "runtime" / "src"
 STAGES = ("tools", "traces", "eval")
 # Only these files of the package root know the stages.
 KNOW_ALL = (
-    *("cli_make", "cli_trace", "cli_judge", "cli_check", "calibrate", "importing", "demo", "check", "golden"),
+    *("cli_make", "cli_trace", "cli_judge", "cli_check", "calibrate", "importing", "recording", "demo", "check", "golden"),
     *("chart", "chart_inputs", "compare"),
 )
 # An include goes to an earlier row only, or to the file's own header.
@@ -18,7 +18,7 @@ LAYERS = [
     "error records algebra crc32 cdr mcap wide",
     "random triangle_tree point_tree sphere_tree hand schemas mcap_reader mcap_writer",
     "bound_tree inside_ball sphere_union object gap qp pack_file resample channels",
-    "contacts cover_fit curvature metric trace_file run_file",
+    "contacts cover_fit curvature device_recording metric trace_file run_file",
     "force filter release search",
     "solver",
     "baseline round",
@@ -40,11 +40,12 @@ DOORS = {
     "pygltflib": ["tools/gltf_skin.py"],
     "rich": ["runtime/palmar/terminal.py"],
     "safetensors": ["runtime/palmar/model.py"],
+    "serial": ["traces/port.py"],
     "threadpoolctl": ["tools/hand_fit.py", "traces/finger_shape.py", "traces/inverse.py"],
     "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py", "tools/moved.py"],
     "typer": [
         f"runtime/palmar/cli{name}.py"
-        for name in ("", "_app", "_calibrate", "_make", "_trace", "_judge", "_check", "_chart")
+        for name in ("", "_app", "_calibrate", "_make", "_record", "_trace", "_judge", "_check", "_chart")
     ],
 }
 OF_FUNCTIONS = {"open3d", "pyvista"}

@@ -16,6 +16,7 @@ from palmar.traces.adroit_door import COLUMNS as ADROIT_DOOR_COLUMNS
 from palmar.traces.adroit_door import read_adroit_door
 from palmar.traces.adroit_hand import adroit_hand_toml
 from palmar.traces.columns import nearest, read_header
+from palmar.traces.glove_angles import read_opengloves
 from palmar.traces.leap import COLUMNS as LEAP_COLUMNS
 from palmar.traces.leap import read_leap
 from palmar.traces.optical_glove import COLUMNS as OPTICAL_COLUMNS
@@ -49,6 +50,7 @@ DEVICES: dict[str, Device] = {
     "optical-glove": Device(
         read_optical_glove, "motion capture of a glove: three markers on the back, two a finger", OPTICAL_COLUMNS
     ),
+    "opengloves": Device(read_opengloves, "the raw bytes in a recording of `palmar record`", ["device_bytes"]),
 }
 # Not a trace: the hand that a device's angles are of, as hand TOML.
 HANDS: dict[str, tuple[Callable[..., str], str]] = {

@@ -1,6 +1,6 @@
 """The C++ core. Its doors are few: trace files, replay, and one solver session."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,48 @@ def write_trace(path: str, header: dict[str, str], columns: dict[str, np.ndarray
 
 def read_trace(path: str) -> tuple[dict[str, str], dict[str, np.ndarray], dict[str, int]]:
     """Header, columns, and what was lost (all zero for a sound file). Raises BadTrace."""
+
+def read_device_bytes(path: str) -> tuple[dict[str, str], list[tuple[float, bytes]]]:
+    """Header of a trace, and the raw bytes in it, each with its time of arrival in seconds. Raises BadTrace."""
+
+class DeviceRecording:
+    """A trace that is written while a device is recorded, on a thread of its own. Readable at every moment.
+
+    A quarter of a second is lost at most if the process is killed. Values have to be storable and times of samples to
+    rise. Raises BadTrace, every method E-TRACE-WRITE once the disk took no more.
+    """
+
+    def __init__(self, path: str, header: dict[str, str]) -> None: ...
+    def add_sample(
+        self,
+        time_s: float,
+        tracked: bool,
+        palm_position_m: Sequence[float],
+        palm_rotation_wxyz: Sequence[float],
+        flexion_rad: Sequence[float],
+        abduction_rad: Sequence[float],
+    ) -> None:
+        """3, 4, 15 and 5 numbers."""
+
+    def add_reading(
+        self,
+        time_s: float,
+        flexion: Sequence[float],
+        abduction: Sequence[float],
+        joystick: Sequence[float],
+        trigger: float,
+        buttons: int,
+    ) -> None:
+        """15, 5 and 2 numbers, as shares of the device's full scale."""
+
+    def add_device_bytes(self, time_s: float, content: bytes) -> None: ...
+    def add_pose_bytes(self, time_s: float, content: bytes) -> None: ...
+    def close(self, end: dict[str, str]) -> None:
+        """end: what is known of the whole only now; readers find it in the header."""
+
+    @property
+    def dropped(self) -> int:
+        """Messages for which a disk that stalled for long left no room."""
 
 def read_run(path: str) -> tuple[dict[str, str], dict[str, np.ndarray], dict[str, int]]:
     """Header, columns as in `palmar.records.Run`, and what was lost. Raises BadTrace."""

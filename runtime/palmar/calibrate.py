@@ -14,13 +14,15 @@ from palmar.errors import PalmarError
 from palmar.files import MCAP_MAGIC, sha256_of
 from palmar.model import FINGERS, Array, HandModel, write_whole
 from palmar.profile import Profile, bone_vectors, fit_to_profile, hand_breadth, hand_length
-from palmar.records import read_trace
+from palmar.records import Trace, read_trace
 from palmar.show import print_residuals
 from palmar.terminal import print_fields, print_table
 from palmar.tools.default_hands import find_hand
 from palmar.tools.profile_file import profile_toml, read_profile
 from palmar.traces.calibrate import calibrate_recording
 from palmar.traces.device import read_device
+from palmar.traces.glove_angles import DEVICE as OPENGLOVES
+from palmar.traces.glove_angles import read_opengloves
 from palmar.traces.readings import calibrate_readings
 from palmar.traces.recording import Recording
 
@@ -101,10 +103,16 @@ def _start(
         return read_profile(file), {}
     with file.open("rb") as stream:
         is_trace = stream.read(len(MCAP_MAGIC)) == MCAP_MAGIC
-    log = read_trace(file) if is_trace else read_device(file, format, **options)
+    log = _read_trace(file) if is_trace and format is None else read_device(file, format, **options)
     if isinstance(log, Recording):
         return calibrate_recording(log, hand, name)
     return calibrate_readings(log, name)
+
+
+def _read_trace(file: Path) -> Trace:
+    """A trace; of a recorded glove what it read, not what was made of it."""
+    trace = read_trace(file)
+    return read_opengloves(file) if trace.header["device"] == OPENGLOVES else trace
 
 
 def _measured(flag: str, text: str, count: int) -> tuple[int, Array]:

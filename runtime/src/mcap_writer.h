@@ -32,6 +32,8 @@ class McapWriter {
   void add_metadata(const std::string& name, const std::map<std::string, std::string>& values);
   // Messages of one time always lie in one chunk, so that damage never tears a step from its contacts.
   void add_message(std::uint16_t channel, std::uint64_t log_time_ns, mcap::Bytes payload);
+  // Ends the chunk; of a file in its place it is then with the system, and survives the death of this process.
+  void flush() { finish_chunk(); }
   void close();
 
  private:

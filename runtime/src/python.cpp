@@ -22,6 +22,7 @@ namespace palmar {
 
 void bind_errors(nb::module_& m);
 void bind_files(nb::module_& m);
+void bind_recording(nb::module_& m);
 void bind_tools(nb::module_& m);
 
 namespace {
@@ -151,6 +152,7 @@ NB_MODULE(_runtime, m) {
   using namespace palmar;
   bind_errors(m);
   bind_files(m);
+  bind_recording(m);
   bind_tools(m);
   m.def("replay", &py_replay, "pack"_a, "trace"_a, "out"_a, "object"_a, "settings"_a, "header"_a,
         "progress"_a = nb::none());

@@ -85,6 +85,16 @@ struct DeviceBytes {
   std::vector<std::uint8_t> bytes;
 };
 
+// Shares of the device's full scale; NaN for what it does not send.
+struct DeviceReading {
+  double time_s = 0;
+  std::array<double, 15> flexion{};
+  std::array<double, 5> abduction{};
+  std::array<double, 2> joystick{};
+  double trigger = 0;
+  std::uint32_t buttons = 0;
+};
+
 struct Trace {
   Header header;
   std::vector<Sample> samples;

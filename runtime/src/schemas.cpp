@@ -22,6 +22,18 @@ float64 time_s                        # of arrival
 uint8[] bytes
 )"};
 
+const MessageType kPoseBytesType{"/pose_bytes", kDeviceBytesType.name, kDeviceBytesType.text};
+
+const MessageType kDeviceReadingType{"/device_reading", "palmar_msgs/msg/DeviceReading",
+                                     R"(# What the device said, decoded, as shares of its own full scale.
+float64 time_s                        # of arrival
+float64[15] flexion                   # thumb MCP PIP DIP, index ...; 0 open to 1 closed, NaN for a joint that is not sent
+float64[5] abduction                  # -1 to 1, NaN if not sent
+float64[2] joystick                   # -1 to 1
+float64 trigger                       # 0 to 1
+uint32 buttons                        # bits: 1 joystick, 2 trigger, 4 A, 8 B, 16 grab, 32 pinch, 64 menu, 128 calibrate
+)"};
+
 const MessageType kStepType{"/graphic_hand", "palmar_msgs/msg/Step",
                             R"(# One answer of the solver. SI units; quaternions w x y z, world from body.
 float64 time_s

@@ -11,6 +11,9 @@
 namespace palmar {
 
 inline constexpr const char* kTraceSchema = "palmar.trace/1";
+// Metadata records: what a trace says of itself, and what its recorder knew only at the end.
+inline constexpr const char* kTraceHeaderName = "palmar.trace";
+inline constexpr const char* kTraceEndName = "palmar.trace.end";
 inline constexpr const char* kRunSchema = "palmar.run/1";
 
 struct MessageType {
@@ -19,7 +22,8 @@ struct MessageType {
   const char* text;
 };
 
-extern const MessageType kSampleType, kDeviceBytesType, kStepType, kContactsType, kTimingType;
+extern const MessageType kSampleType, kDeviceBytesType, kPoseBytesType, kDeviceReadingType;
+extern const MessageType kStepType, kContactsType, kTimingType;
 
 // True if two `ros2msg` texts have the same fields in the same order; comments and blanks do not count.
 bool same_fields(std::string_view a, std::string_view b);
@@ -46,6 +50,16 @@ template <class Cdr, class Message>
 void device_bytes_fields(Cdr& cdr, Message& device) {
   cdr(device.time_s);
   cdr(device.bytes);
+}
+
+template <class Cdr, class Message>
+void device_reading_fields(Cdr& cdr, Message& reading) {
+  cdr(reading.time_s);
+  cdr(reading.flexion);
+  cdr(reading.abduction);
+  cdr(reading.joystick);
+  cdr(reading.trigger);
+  cdr(reading.buttons);
 }
 
 template <class Cdr, class Message>

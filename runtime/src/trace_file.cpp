@@ -10,8 +10,6 @@
 namespace palmar {
 namespace {
 
-constexpr const char* kHeaderName = "palmar.trace";
-
 std::string number(double value) {
   char text[32];
   std::snprintf(text, sizeof text, "%.9g", value);
@@ -71,8 +69,10 @@ void check_device_bytes(const DeviceBytes& device, std::size_t i, const std::str
 Trace read_trace(const std::string& path) {
   const McapFile file = read_mcap(path);
   Trace trace;
-  trace.header = find_header(file, path, kHeaderName, kTraceSchema);
+  trace.header = find_header(file, path, kTraceHeaderName, kTraceSchema);
   check_header(trace.header, path);
+  if (const auto end = file.metadata.find(kTraceEndName); end != file.metadata.end())
+    for (const auto& [key, value] : end->second) trace.header[key] = value;
   trace.loss = file.loss;
 
   const auto channels = find_channels(file, path, {&kSampleType, &kDeviceBytesType});
@@ -118,7 +118,7 @@ void write_trace(const std::string& path, const Trace& trace) {
   for (std::size_t i = 0; i < trace.device_bytes.size(); ++i) check_device_bytes(trace.device_bytes[i], i, path);
 
   McapWriter writer(path);
-  writer.add_metadata(kHeaderName, header);
+  writer.add_metadata(kTraceHeaderName, header);
   const std::uint16_t samples = writer.add_channel(kSampleType.topic, kSampleType.name, kSampleType.text);
   const std::uint16_t bytes =
       trace.device_bytes.empty()

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palmar.model import HandModel, SphereTree
+from palmar.model import AssetPack, HandModel, SphereTree, save_pack
+from palmar.records import Trace
 from palmar.tools.hierarchy import bounds_over
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "data"
@@ -62,3 +63,34 @@ def trees() -> dict[str, SphereTree]:
         name: SphereTree([s], [bounds_over(s)], s[:, :3], np.zeros((0, 3), dtype=np.int32))
         for name, s in spheres.items()
     }
+
+
+@pytest.fixture(scope="session")
+def moving(hand: HandModel) -> Trace:
+    """Two seconds at 200 Hz of a hand that closes and opens while its palm goes to and fro."""
+    time_s = np.arange(400) / 200
+    closed = 0.5 - 0.5 * np.cos(2 * np.pi * time_s)
+    return Trace(
+        header={"device": "script", "hand": "reference", "side": "right", "rate_hz": "200"},
+        time_s=time_s,
+        palm_position_m=0.1 * np.stack([np.sin(time_s), np.cos(time_s), 0 * time_s], axis=1),
+        palm_rotation_wxyz=np.stack([np.cos(closed), 0 * closed, 0 * closed, np.sin(closed)], axis=1),
+        flexion_rad=closed[:, None, None] * np.array([1.0, 1.1, 0.7]) * np.ones((5, 1)),
+        abduction_rad=0.3 * np.sin(2 * np.pi * time_s)[:, None] * np.ones(5),
+        tracked=np.ones(400, dtype=bool),
+        has_object_pose=np.zeros(400, dtype=bool),
+        object_position_m=np.zeros((400, 3)),
+        object_rotation_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (400, 1)),
+    )
+
+
+@pytest.fixture(scope="session")
+def ball_pack(hand: HandModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ball in front of the palm of a hand that stands at the origin, where its fingers close."""
+    ball = np.array([[0.0, 0.06, -0.045, 0.03]])
+    corners = 0.03 * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]]) + ball[:, :3]
+    about = {"levels": [{"spheres": 1}]}
+    tree = SphereTree([ball], [bounds_over(ball)], corners, np.zeros((0, 3), dtype=np.int32), about)
+    path = tmp_path_factory.mktemp("pack") / "ball.pack"
+    save_pack(path, AssetPack(hand, {"ball": tree}, {}))
+    return path
