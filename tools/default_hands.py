@@ -27,7 +27,7 @@ def find_hand(name: str | Path | None) -> HandModel:
     if name is None or str(name) == DEFAULT:
         return default_hand()
     if not is_default(name):
-        return load_pack(name).hand if Path(name).suffix == ".pack" else read_hand(name)
+        return load_pack(name).hand if _is_pack(Path(name)) else read_hand(name)
     if str(name) not in NAMES:
         known = ", ".join(NAMES)
         raise PalmarError("E-CONF", "--hand", f"{str(name)!r}{nearest(str(name), NAMES)}; known are {known}")
@@ -35,6 +35,16 @@ def find_hand(name: str | Path | None) -> HandModel:
     profile = survey_profile(sex, percentile)
     hand = fit_to_profile(default_hand(), profile)
     return replace(hand, about={key: value for key, value in hand.about.items() if key != "profile_sha256"})
+
+
+def _is_pack(path: Path) -> bool:
+    """Whether a file begins as a pack does: with the length of its header, eight bytes, and a brace. No text does."""
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(9)
+    except OSError:
+        return False
+    return b"\0" in start[:8] and start[8:] == b"{"
 
 
 def is_default(name: str | Path) -> bool:
