@@ -17,7 +17,7 @@ from palmar.tools.toml_file import check_keys, get_number, get_text, is_number, 
 
 Array = NDArray[np.float64]
 
-TOP_KEYS = ("schema", "name", "side", "source", "hand_length_m", "hand_breadth_m", "finger", "device")
+TOP_KEYS = ("schema", "name", "side", "source", "hand", "hand_length_m", "hand_breadth_m", "finger", "device")
 DEVICE_KEYS = ("name", "palm_position_m", "palm_rotation_wxyz")
 # Of a finger: shape, lowest and highest value.
 FINGER_KEYS: dict[str, tuple[tuple[int, ...], float, float]] = {
@@ -64,6 +64,7 @@ def read_profile(path: str | Path) -> Profile:
         name=get_text(where, table, "name"),
         side=get_text(where, table, "side", ("right", "left")),
         source=get_text(where, table, "source") if "source" in table else Path(path).name,
+        hand=get_text(where, table, "hand") if "hand" in table else "",
         hand_length_m=get_number(where, table, "hand_length_m", 0.05, 0.5) if "hand_length_m" in table else None,
         hand_breadth_m=get_number(where, table, "hand_breadth_m", 0.02, 0.3) if "hand_breadth_m" in table else None,
         fingers=tuple(measures),
@@ -82,6 +83,7 @@ def profile_toml(profile: Profile) -> str:
         f'side = "{profile.side}"',
         f"source = {_text(profile.source)}",
     ]
+    lines += [f"hand = {_text(profile.hand)}"] if profile.hand else []
     for key in ("hand_length_m", "hand_breadth_m"):
         value = getattr(profile, key)
         lines += [f"{key} = {_numbers(value, 6)}"] if value is not None else []

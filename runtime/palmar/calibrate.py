@@ -63,6 +63,7 @@ def calibrate(
     )
     profile = replace(
         profile,
+        hand=profile.hand or str(hand.about.get("name", "")),
         fingers=fingers,
         hand_length_m=profile.hand_length_m if hand_length_mm is None else hand_length_mm / 1e3,
         hand_breadth_m=profile.hand_breadth_m if hand_breadth_mm is None else hand_breadth_mm / 1e3,

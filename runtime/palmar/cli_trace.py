@@ -1,5 +1,6 @@
 """Verbs about what a device said: a log, a script, a file looked into, a file handed on."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -59,6 +60,8 @@ def import_(
     if json:
         print_json(answer)
     else:
+        for warning in answer.pop("warnings"):
+            print(f"warning: {warning}", file=sys.stderr)
         if "residual_mm" in answer:
             print_residuals(answer.pop("residual_mm"))
         print_fields(answer)

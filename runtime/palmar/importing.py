@@ -7,7 +7,7 @@ from typing import Any
 
 from palmar.errors import BadPack, PalmarError
 from palmar.model import AssetPack, HandModel, load_pack
-from palmar.profile import fit_to_profile
+from palmar.profile import fit_to_profile, other_hand_warning
 from palmar.records import Trace
 from palmar.tools.default_hands import find_hand
 from palmar.tools.profile_file import read_profile
@@ -26,18 +26,22 @@ def import_log(
     grasp: Path | None = None,
     object_name: str = "",
 ) -> dict[str, Any]:
-    """What `import_file` answers. grasp: pack, built for the same hand, whose object is put where the hand closes.
+    """What `import_file` answers, and "warnings": sentences.
 
-    Raises BadPack, BadTrace, PalmarError; then nothing is written.
+    grasp: pack, built for the same hand, whose object is put where the hand closes. Raises BadPack, BadTrace, PalmarError; then nothing is written.
     """
     profile = None if profile_path is None else read_profile(profile_path)
-    hand = None
+    hand, warnings = None, []
     if hand_name is not None or profile is not None:
-        hand = find_hand(hand_name) if profile is None else fit_to_profile(find_hand(hand_name), profile)
+        hand = find_hand(hand_name)
+    if hand is not None and profile is not None:
+        warnings = [text for text in [other_hand_warning(hand, profile)] if text]
+        hand = fit_to_profile(hand, profile)
     if grasp is None:
         if object_name:
             raise PalmarError("E-USAGE", "--object", "is of a pack; --grasp PACK is missing")
-        return import_file(path, out, format=format, hand=hand, profile=profile, **(options or {}))
+        answer = import_file(path, out, format=format, hand=hand, profile=profile, **(options or {}))
+        return {**answer, "warnings": warnings}
     pack = load_pack(grasp)
     name = _object_of(pack, grasp, object_name)
 
@@ -46,7 +50,8 @@ def import_log(
             raise BadPack("E-PACK-HAND", str(grasp), _differs(hand, pack.hand))
         return put_object(trace, pack.hand, pack.objects[name].leaves, name)
 
-    return import_file(path, out, format=format, hand=hand, profile=profile, change=change, **(options or {}))
+    answer = import_file(path, out, format=format, hand=hand, profile=profile, change=change, **(options or {}))
+    return {**answer, "warnings": warnings}
 
 
 def _object_of(pack: AssetPack, path: Path, name: str) -> str:

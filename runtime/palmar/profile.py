@@ -37,6 +37,7 @@ class Profile:
     name: str
     side: str
     source: str
+    hand: str = ""  # name of the hand that it was made with
     hand_length_m: float | None = None  # wrist to the middle fingertip
     hand_breadth_m: float | None = None  # across the palm
     fingers: tuple[FingerMeasures, ...] = (FingerMeasures(),) * 5
@@ -97,6 +98,17 @@ def fit_to_profile(hand: HandModel, profile: Profile) -> HandModel:
             "profile_sha256": profile.sha256,
         },
     )
+
+
+def other_hand_warning(hand: HandModel, profile: Profile) -> str:
+    """What to say if a profile is applied to another hand than it was made with; "" if it is the same or unknown.
+
+    hand: before the profile is applied to it.
+    """
+    name = str(hand.about.get("name", ""))
+    if not profile.hand or name == profile.hand:
+        return ""
+    return f"profile {profile.name} was made with hand {profile.hand!r}, not {name!r}; its ranges are of that --hand"
 
 
 def bone_vectors(hand: HandModel, finger: int) -> Array:

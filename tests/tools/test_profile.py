@@ -15,6 +15,7 @@ from palmar.profile import (
     hand_breadth,
     hand_length,
     mirror_hand,
+    other_hand_warning,
 )
 from palmar.tools.default_hands import NAMES, find_hand
 from palmar.tools.hand_file import default_hand, side_of
@@ -208,6 +209,14 @@ def test_radii_of_the_mean_man_are_the_circumferences_of_his_joints():
     assert radius[2, 0] == pytest.approx(8.5 * 88.3 / 83.3, abs=0.06)
 
 
+def test_a_profile_tells_the_hand_it_was_made_with(tmp_path):
+    made = replace(FULL, hand="median adult")
+    assert read_profile(write(tmp_path / "me.toml", profile_toml(made))).hand == "median adult"
+    assert other_hand_warning(default_hand(), made) == ""
+    assert other_hand_warning(default_hand(), FULL) == ""  # of a profile that does not say
+    assert "made with hand 'median adult', not 'male-95'" in other_hand_warning(find_hand("default:male-95"), made)
+
+
 def test_a_hand_that_is_not_built_in_is_named_with_those_that_are():
     with pytest.raises(PalmarError, match="nearest: default:female-5; known are default"):
         find_hand("default:female-55")
@@ -222,8 +231,9 @@ def test_a_pack_says_whose_hand_it_holds(tmp_path):
     expected = fit_to_profile(find_hand("default:male-95"), read_profile(profile))
     np.testing.assert_array_equal(hand.phalanx_m, expected.phalanx_m)
     assert FINGERS[1] == "index"
-    # A hand out of a pack is a hand like any other, and a profile fits it again.
-    build(["shape:cube"], tmp_path / "c.pack", spheres=30, hand_path=tmp_path / "a.pack", profile_path=profile)
+    # A hand out of a pack is a hand like any other, whatever the file is called, and a profile fits it again.
+    other_name = (tmp_path / "a.pack").rename(tmp_path / "anna.toml")
+    build(["shape:cube"], tmp_path / "c.pack", spheres=30, hand_path=other_name, profile_path=profile)
     again = load_pack(tmp_path / "c.pack").hand
     np.testing.assert_allclose(bone_vectors(again, 1), bone_vectors(expected, 1), rtol=0, atol=1e-15)
     assert again.about["source"].startswith(f"{FULL.name}, fitted to")
