@@ -28,7 +28,8 @@ def import_log(
 ) -> dict[str, Any]:
     """What `import_file` answers, and "warnings": sentences.
 
-    grasp: pack, built for the same hand, whose object is put where the hand closes. Raises BadPack, BadTrace, PalmarError; then nothing is written.
+    grasp: pack, built for the same hand, whose object is put where the hand closes. Raises BadPack, BadTrace,
+    PalmarError; then nothing is written.
     """
     profile = None if profile_path is None else read_profile(profile_path)
     hand, warnings = None, []
