@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_limits
 
 from palmar.errors import PalmarError
 from palmar.model import load_pack
@@ -114,7 +115,8 @@ def test_a_mirrored_file_gives_the_mirrored_hand():
         rig = make_rig("hand", skinned)
         frame = make_frame("hand", rig)
         mesh = hand_mesh("hand", rig, frame, 1.0)
-        hands[frame.side] = fit_model("hand", frame, mesh, 20, 0, lambda text, part: None)
+        with threadpool_limits(1):
+            hands[frame.side] = fit_model("hand", frame, mesh, 20, 0, lambda text, part: None)
     left, right = hands["left"], hands["right"]
     # In the palm frame x is mirrored. The same points, weights and start: what is left is rounding, which least squares
     # makes larger; 0.1 mm is asked of two hands of a pair.
