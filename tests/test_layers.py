@@ -12,7 +12,7 @@ STAGES = ("tools", "traces", "eval")
 KNOW_ALL = ("cli_make", "cli_trace", "cli_judge", "calibrate", "importing", "demo", "check")
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [
-    "error records algebra crc32 cdr mcap wide",
+    "error records algebra crc32 cdr mcap wide parallel",
     "random triangle_tree point_tree sphere_tree hand schemas mcap_reader mcap_writer",
     "bound_tree inside_ball sphere_union object gap qp pack_file resample channels",
     "contacts cover_fit curvature metric trace_file run_file",
@@ -38,7 +38,7 @@ DOORS = {
     "rich": ["runtime/palmar/terminal.py"],
     "safetensors": ["runtime/palmar/model.py"],
     "threadpoolctl": ["tools/hand_fit.py", "traces/finger_shape.py", "traces/inverse.py"],
-    "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py", "tools/moved.py"],
+    "trimesh": ["eval/view3d.py", *(f"tools/{name}.py" for name in ("close", "mesh", "moved", "painted"))],
     "typer": [f"runtime/palmar/cli{name}.py" for name in ("", "_app", "_calibrate", "_make", "_trace", "_judge")],
 }
 OF_FUNCTIONS = {"open3d", "pyvista"}

@@ -3,7 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
-#include <thread>
+
+#include "parallel.h"
 
 namespace palmar {
 namespace {
@@ -12,6 +13,9 @@ constexpr std::int32_t kNone = -1;
 constexpr std::size_t kBlock = 48;  // places judged against one state, or a share of many balls
 constexpr std::size_t kBlockShare = 64;
 constexpr double kSlack = 0.4;  // of the budget: what may enter a ball that passes over dents and facets
+constexpr double kKeep = 1.04, kKeepMost = 1.3;  // times the budget's high end: what lists hold
+constexpr double kStale = 1e-3;                  // share of the samples whose lists may be short
+constexpr std::size_t kParts = 64;               // of the samples, each with one thread when lists are made anew
 
 }  // namespace
 
@@ -19,10 +23,14 @@ CoverFit::CoverFit(const TriangleTree& tree, std::vector<Zone> zones, const Samp
                    int threads)
     : tree_(tree),
       zones_(std::move(zones)),
-      samples_(samples.points),
+      samples_(samples.points, threads),
       seen_(samples.points.size()),
+      complete_(samples.points.size()),
       threads_(threads),
       random_{seed} {
+  for (std::vector<Vec3>* rows : {&points_, &inward_}) rows->reserve(samples.points.size());
+  for (std::vector<std::int32_t>* rows : {&faces_, &zone_}) rows->reserve(samples.points.size());
+  stricter_.reserve(samples.points.size());
   for (const std::int32_t s : samples_.order()) {
     points_.push_back(samples.points[s]);
     inward_.push_back(samples.inward[s]);
@@ -50,54 +58,82 @@ double CoverFit::disc(const InsideBall& ball) const { return std::sqrt(2 * ball.
 void CoverFit::set_balls(std::vector<InsideBall> balls, int fixed) {
   balls_ = std::move(balls);
   fixed_ = std::size_t(fixed);
+  kept_ = 0;
   set_budget(low_, high_, excess_);
 }
 
 void CoverFit::set_budget(double low, double high, double excess) {
   excess_ = float(excess);
-  for (InsideBall& ball : balls_) ball.held = held_inside(zones_, ball.center, ball.inside, excess_);
   low_ = low;
   high_ = high;
   budget_ = 0.5 * (low + high);
   slope_ = high > low ? 1 / (high - low) : 0;
-  Seen nothing;
-  std::fill_n(nothing.ball, kKept, kNone);
-  std::fill_n(nothing.gap, kKept, float(high));
-  std::fill(seen_.begin(), seen_.end(), nothing);
-  for (std::size_t k = 0; k < balls_.size(); ++k) enter(std::int32_t(k));
+  // Without zones gaps depend on no budget, and lists that reach far enough and lack nothing are as good as new.
+  if (zones_.empty() && high <= kept_ && kept_ <= kKeepMost * high) {
+    std::size_t stale = 0;
+    for (std::size_t s = 0; s < seen_.size(); ++s) stale += seen_[s].gap[1] > complete_[s] && complete_[s] < high;
+    if (double(stale) <= kStale * double(seen_.size())) return;
+  }
+  for (InsideBall& ball : balls_) ball.held = held_inside(zones_, ball.center, ball.inside, excess_);
+  kept_ = kKeep * high;
+  see_all();
 }
 
-void CoverFit::enter(std::int32_t index) {
-  const InsideBall& ball = balls_[index];
-  const float held = float(ball.held);
-  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float distance) {
-    Seen& seen = seen_[s];
+void CoverFit::see_all() {
+  Seen nothing;
+  std::fill_n(nothing.ball, kKept, kNone);
+  std::fill_n(nothing.gap, kKept, float(kept_));
+  std::fill(seen_.begin(), seen_.end(), nothing);
+  std::fill(complete_.begin(), complete_.end(), float(kept_));
+  const std::vector<std::int32_t> parts = samples_.parts(kParts);
+  in_parallel(threads_, parts.size(), [&](std::size_t part) {
+    Hits hits;
+    for (std::size_t k = 0; k < balls_.size(); ++k) {
+      reach(balls_[k], hits, parts[part]);
+      enter(std::int32_t(k), hits);
+    }
+  });
+}
+
+void CoverFit::reach(const InsideBall& ball, Hits& hits, std::int32_t part) const {
+  hits.clear();
+  const float held = float(ball.held), most = float(kept_);
+  const auto add = [&](std::int32_t s, float distance) {
     const float gap = gap_of(s, distance, held);
-    if (!(gap < seen.gap[kKept - 1])) return;
+    if (gap < most) hits.push_back({s, gap});
+  };
+  samples_.within(ball.center, ball.held + kept_, add, part);
+}
+
+void CoverFit::enter(std::int32_t index, const Hits& hits) {
+  for (const auto& [s, gap] : hits) {
+    Seen& seen = seen_[s];
     int at = kKept - 1;
+    const float last = std::max(gap, seen.gap[at]);  // what the list has no room for
+    if (seen.ball[at] >= 0) complete_[s] = std::min(complete_[s], last);
+    if (!(gap < seen.gap[at])) continue;
     for (; at > 0 && gap < seen.gap[at - 1]; --at) {
       seen.gap[at] = seen.gap[at - 1];
       seen.ball[at] = seen.ball[at - 1];
     }
     seen.gap[at] = gap;
     seen.ball[at] = index;
-  });
+  }
 }
 
-void CoverFit::leave(std::int32_t index) {
-  const InsideBall& ball = balls_[index];
-  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float) {
+void CoverFit::leave(std::int32_t index, const Hits& hits) {
+  for (const auto& [s, gap] : hits) {
     Seen& seen = seen_[s];
     int at = 0;
     while (at < kKept && seen.ball[at] != index) ++at;
-    if (at == kKept) return;
+    if (at == kKept) continue;
     for (; at + 1 < kKept; ++at) {
       seen.gap[at] = seen.gap[at + 1];
       seen.ball[at] = seen.ball[at + 1];
     }
-    seen.gap[kKept - 1] = float(high_);
+    seen.gap[kKept - 1] = float(kept_);
     seen.ball[kKept - 1] = kNone;
-  });
+  }
 }
 
 double CoverFit::quantile(double share) const {
@@ -110,28 +146,25 @@ double CoverFit::quantile(double share) const {
     std::nth_element(of_zone.begin(), at, of_zone.end());
     worst = std::max(worst, *at);
   }
-  return worst;
+  return std::min(double(worst), high_);
 }
 
-double CoverFit::gain(const InsideBall& ball, std::int32_t without) const {
+double CoverFit::gain(const Hits& hits, std::int32_t without) const {
   double sum = 0;
-  const float held = float(ball.held);
-  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float distance) {
+  for (const auto& [s, gap] : hits) {
     const Seen& seen = seen_[s];
     const float rest = seen.ball[0] == without ? seen.gap[1] : seen.gap[0];
-    const float gap = gap_of(s, distance, held);
     if (gap < rest) sum += cost_of(rest) - cost_of(gap);
-  });
+  }
   return sum;
 }
 
-double CoverFit::loss(std::int32_t index) const {
+double CoverFit::loss(std::int32_t index, const Hits& hits) const {
   double sum = 0;
-  const InsideBall& ball = balls_[index];
-  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float) {
+  for (const auto& [s, gap] : hits) {
     const Seen& seen = seen_[s];
     if (seen.ball[0] == index) sum += cost_of(seen.gap[1]) - cost_of(seen.gap[0]);
-  });
+  }
   return sum;
 }
 
@@ -143,13 +176,13 @@ std::vector<double> CoverFit::losses() const {
   return sum;
 }
 
-Vec3 CoverFit::pull(std::int32_t index) const {
+Vec3 CoverFit::pull(std::int32_t index, const Hits& hits) const {
   const InsideBall& ball = balls_[index];
   Vec3 sum = Vec3::Zero();
-  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float) {
+  for (const auto& [s, gap] : hits) {
     const Seen& seen = seen_[s];
     if (seen.ball[0] == index && seen.gap[0] > low_) sum += (points_[s] - ball.center).normalized();
-  });
+  }
   const double length = sum.norm();
   return length > 0 ? Vec3(sum / length) : sum;
 }
@@ -168,64 +201,57 @@ std::optional<InsideBall> CoverFit::moved(const InsideBall& ball, const Vec3& sh
   return shot(found.point, inward, found.face, slack, distance + 2 * far + slack);
 }
 
-std::optional<InsideBall> CoverFit::walk(std::int32_t index, double step, int moves, double temperature,
-                                         Random random) const {
+void CoverFit::walk(Move& move, double step, int moves, double temperature, Random random) const {
+  const std::int32_t index = move.out;
   InsideBall at = balls_[index];
-  const double own = loss(index);
+  move.in.reset();
+  reach(at, move.before);
+  const double own = loss(index, move.before);
   double worse_at = 0;
-  bool left = false;
-  const Vec3 towards = pull(index);
+  const Vec3 towards = pull(index, move.before);
   Vec3 again = Vec3::Zero();
-  for (int move = 0; move < moves; ++move) {
+  Hits hits;
+  for (int k = 0; k < moves; ++k) {
     const double size = step * disc(at) * std::pow(8.0, -random.uniform());
     Vec3 shift = again;
-    if (again.isZero()) shift = size * (random.in_ball() + (move % 2 ? 0.0 : 1.0) * towards);
+    if (again.isZero()) shift = size * (random.in_ball() + (k % 2 ? 0.0 : 1.0) * towards);
     again.setZero();
     const auto other = moved(at, shift, random);
     if (!other) continue;
-    const double worse = own - gain(*other, index);
+    reach(*other, hits);
+    const double worse = own - gain(hits, index);
     const bool better = worse < worse_at;
     if (better || (temperature > 0 && random.uniform() < std::exp((worse_at - worse) / temperature))) {
       if (better) again = other->center - at.center;
       at = *other;
       worse_at = worse;
-      left = true;
+      move.in = at;
+      std::swap(hits, move.after);
     }
   }
-  return left ? std::optional(at) : std::nullopt;
-}
-
-void CoverFit::in_parallel(std::size_t count, const std::function<void(std::size_t)>& work) const {
-  const std::size_t threads = std::min(std::size_t(threads_), count);
-  const auto share = [&](std::size_t thread) {
-    for (std::size_t k = thread; k < count; k += threads) work(k);
-  };
-  std::vector<std::thread> others;
-  for (std::size_t thread = 1; thread < threads; ++thread) others.emplace_back(share, thread);
-  if (threads) share(0);
-  for (std::thread& other : others) other.join();
 }
 
 int CoverFit::polish(double step, int moves, double temperature) {
   std::vector<std::int32_t> order(balls_.size() - fixed_);
   std::iota(order.begin(), order.end(), std::int32_t(fixed_));
   for (std::size_t k = order.size(); k > 1; --k) std::swap(order[k - 1], order[random_.below(k)]);
-  std::vector<std::optional<InsideBall>> found(kBlock);
+  std::vector<Move> found(kBlock);
   int taken = 0;
   for (std::size_t first = 0; first < order.size(); first += kBlock) {
     const std::size_t count = std::min(kBlock, order.size() - first);
     const std::uint64_t seed = random_.next();
-    in_parallel(count, [&](std::size_t k) {
-      found[k] = walk(order[first + k], step, moves, temperature, Random{seed + k * 0x2545f4914f6cdd1dull});
+    in_parallel(threads_, count, [&](std::size_t k) {
+      found[k].out = order[first + k];
+      walk(found[k], step, moves, temperature, Random{seed + k * 0x2545f4914f6cdd1dull});
     });
     for (std::size_t k = 0; k < count; ++k) {
-      if (!found[k]) continue;
-      const std::int32_t index = order[first + k];
-      const double worse = loss(index) - gain(*found[k], index);
+      const auto& [index, in, before, after] = found[k];
+      if (!in) continue;
+      const double worse = loss(index, before) - gain(after, index);
       if (worse < 0 || (temperature > 0 && random_.uniform() < std::exp(-worse / temperature))) {
-        leave(index);
-        balls_[index] = *found[k];
-        enter(index);
+        leave(index, before);
+        balls_[index] = *in;
+        enter(index, after);
         ++taken;
       }
     }
@@ -233,12 +259,18 @@ int CoverFit::polish(double step, int moves, double temperature) {
   return taken;
 }
 
-std::optional<InsideBall> CoverFit::best_at(std::size_t sample, int candidates, Random& random) const {
-  std::optional<InsideBall> best;
+void CoverFit::find_best(Move& move, std::size_t sample, int candidates, Random& random) const {
+  move.in.reset();
   double most = 0;
+  Hits hits;
   const auto judge = [&](const std::optional<InsideBall>& ball) {
-    const double now = ball ? gain(*ball, kNone) : 0;
-    if (now > most) most = now, best = ball;
+    if (!ball) return;
+    reach(*ball, hits);
+    const double now = gain(hits, kNone);
+    if (now <= most) return;
+    most = now;
+    move.in = ball;
+    std::swap(hits, move.after);
   };
   const Vec3 &from = points_[sample], &inward = inward_[sample];
   for (int k = 0; k < candidates; ++k) {
@@ -251,10 +283,9 @@ std::optional<InsideBall> CoverFit::best_at(std::size_t sample, int candidates, 
     } else {
       const double slack = k % 2 ? kSlack * budget_ * random.uniform() : 0.0;
       judge(shot(from, inward, faces_[sample], slack, 0.5 * tree_.size()));
-      if (best) judge(moved(*best, random.uniform() * disc(*best) * random.in_ball(), random));
+      if (move.in) judge(moved(*move.in, random.uniform() * disc(*move.in) * random.in_ball(), random));
     }
   }
-  return best;
 }
 
 std::vector<std::int32_t> CoverFit::bare() const {
@@ -280,18 +311,23 @@ int CoverFit::exchange(int trials, int candidates) {
     if (targets.empty()) break;
     const std::size_t count = std::min(block, std::size_t(trials - first));
     const std::uint64_t seed = random_.next();
-    in_parallel(count, [&](std::size_t k) {
+    in_parallel(threads_, count, [&](std::size_t k) {
       Random random{seed + k * 0x2545f4914f6cdd1dull};
       moves[k].out = order[random.below(pool)];
-      moves[k].in = best_at(std::size_t(targets[random.below(targets.size())]), candidates, random);
+      find_best(moves[k], std::size_t(targets[random.below(targets.size())]), candidates, random);
+      if (moves[k].in) reach(balls_[moves[k].out], moves[k].before);
     });
     int now = 0;
+    std::vector<bool> gone(balls_.size());
     for (std::size_t k = 0; k < count; ++k) {
-      const auto& [out, in] = moves[k];
-      if (!in || gain(*in, kNone) <= loss(out)) continue;
-      leave(out);
+      auto& [out, in, before, after] = moves[k];
+      if (!in) continue;
+      if (gone[out]) reach(balls_[out], before);
+      if (gain(after, kNone) <= loss(out, before)) continue;
+      leave(out, before);
       balls_[out] = *in;
-      enter(out);
+      enter(out, after);
+      gone[out] = true;
       ++now;
     }
     taken += now;
@@ -324,19 +360,22 @@ int CoverFit::take_out(int count, bool useless) {
   // What goes changes what the others are worth: a tenth at a time, or as long as nothing is lost.
   const std::size_t most = std::min(balls_.size() - least, useless ? order.size() : std::size_t(count));
   std::vector<std::int32_t> gone;
+  Hits hits;
   for (const std::int32_t k : order) {
     if (gone.size() == most || (useless ? lost[k] > 0 : gone.size() > order.size() / 10)) break;
-    if (useless && loss(k) > 0) continue;
-    leave(k);
+    reach(balls_[k], hits);
+    if (useless && loss(k, hits) > 0) continue;
+    leave(k, hits);
     gone.push_back(k);
   }
   std::sort(gone.rbegin(), gone.rend());
   for (const std::int32_t k : gone) {
     const std::int32_t last = std::int32_t(balls_.size()) - 1;
     if (k != last) {
-      leave(last);
+      reach(balls_[last], hits);
+      leave(last, hits);
       balls_[k] = balls_[last];
-      enter(k);
+      enter(k, hits);
     }
     balls_.pop_back();
   }
@@ -352,21 +391,22 @@ int CoverFit::add(int count, int candidates) {
     const std::size_t some = std::min<std::size_t>({std::size_t(count - added), block, targets.size()});
     std::vector<Move> moves(some);
     const std::uint64_t seed = random_.next();
-    in_parallel(some, [&](std::size_t k) {
+    in_parallel(threads_, some, [&](std::size_t k) {
       Random random{seed + k * 0x2545f4914f6cdd1dull};
       // Of a few bare samples the one with most to gain.
       double most = 0;
+      Move move;
       for (int turn = 0; turn < 4; ++turn) {
-        const auto ball = best_at(std::size_t(targets[random.below(targets.size())]), candidates, random);
-        const double now = ball ? gain(*ball, kNone) : 0;
-        if (now > most) most = now, moves[k].in = ball;
+        find_best(move, std::size_t(targets[random.below(targets.size())]), candidates, random);
+        const double now = move.in ? gain(move.after, kNone) : 0;
+        if (now > most) most = now, std::swap(moves[k], move);
       }
     });
     int now = 0;
     for (const Move& move : moves) {
-      if (!move.in || gain(*move.in, kNone) <= 0) continue;
+      if (!move.in || gain(move.after, kNone) <= 0) continue;
       balls_.push_back(*move.in);
-      enter(std::int32_t(balls_.size()) - 1);
+      enter(std::int32_t(balls_.size()) - 1, move.after);
       ++now;
     }
     if (!now) break;
