@@ -86,6 +86,7 @@ def _fill(
 def thinned(target: Target, balls: Array, count: int, mode: str, seed: int) -> Array:
     """Centres and inside distances (n, 4), n <= count, with the least G found from those of a finer cover."""
     density, step, rounds = _LEVEL
+    rounds = round(_fewer(count) * rounds)
     budget = _budget_for(target, balls, count)
     fit = target.make_fit(round(np.clip(density * count, 6_000, _MOST_SAMPLES)), seed)
     _set_budget(fit, budget, mode)
@@ -202,12 +203,16 @@ def _too_fine(error: float, found: str) -> BadMesh:
 
 def _phases(count: int) -> list[Phase]:
     """Fewer samples a ball and rounds for so many balls, for the time and memory that they take."""
-    fewer = min(1.0, (2_000 / max(count, 1)) ** 0.45)
     most = _MOST_SAMPLES // count
     return [
-        (max(min(density, most), 6_000 // count), step, max(2, round(fewer * rounds)))
+        (max(min(density, most), 6_000 // count), step, max(2, round(_fewer(count) * rounds)))
         for density, step, rounds in _PHASES
     ]
+
+
+def _fewer(count: int) -> float:
+    """Share of the rounds for so many balls."""
+    return min(1.0, (2_000 / max(count, 1)) ** 0.45)
 
 
 def _temperature(density: float, turn: int, rounds: int) -> float:
