@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <vector>
 
@@ -46,6 +47,7 @@ class CoverFit {
   int add(int count, int candidates);
 
  private:
+  static constexpr std::int32_t kNone = -1;
   static constexpr int kKept = 6;
   struct Seen {
     std::int32_t ball[kKept];  // those with the least gaps, in order
@@ -86,6 +88,8 @@ class CoverFit {
   void walk(Move& move, double step, int moves, double temperature, Random random) const;
   void find_best(Move& move, std::size_t sample, int candidates, Random& random) const;
   std::vector<std::int32_t> bare() const;
+  // work(run, first, last) for each of a few runs of the samples, whose number is the same for any number of threads.
+  void in_runs(const std::function<void(std::size_t, std::size_t, std::size_t)>& work) const;
 
   const TriangleTree& tree_;
   std::vector<Zone> zones_;
