@@ -20,8 +20,8 @@ Progress = Callable[[str, float], None]
 Phase = tuple[float, float, int]
 
 CAP = 200_000
-# Finer than this share of the object's size, spheres would copy the facets of a round mesh one by one: more of them only
-# for a count that flat sides would need at half of it or less, and none below what single precision holds.
+# Finer than this share of the object's size, spheres would copy the facets of a round mesh one by one: that is done
+# only for a count that flat sides would need at half of it or less, and never below what single precision holds.
 _FINEST, _LEAST = 1e-4, 1e-6
 _ALLOWED = 0.99  # of the error: what the 99th percentile varies by between sets of samples
 _WORST = 1.9  # times G: what even a corner or an edge should not exceed
@@ -68,9 +68,7 @@ def within_count(target: Target, count: int, mode: str, seed: int, tell: Progres
     return within(target.solid, balls)
 
 
-def _fill(
-    target: Target, fit: CoverFit, balls: Array, total: int, budget: float, mode: str, finest: float
-) -> Array:
+def _fill(target: Target, fit: CoverFit, balls: Array, total: int, budget: float, mode: str, finest: float) -> Array:
     """The balls and more of them up to a total, where most is bare; fewer if only facets were left to copy."""
     while True:
         balls = within(target.solid, balls)

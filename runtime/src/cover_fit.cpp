@@ -192,9 +192,8 @@ std::vector<std::int32_t> CoverFit::bare() const {
 }
 
 void CoverFit::in_runs(const std::function<void(std::size_t, std::size_t, std::size_t)>& work) const {
-  in_parallel(threads_, kRuns, [&](std::size_t run) {
-    work(run, run * seen_.size() / kRuns, (run + 1) * seen_.size() / kRuns);
-  });
+  in_parallel(threads_, kRuns,
+              [&](std::size_t run) { work(run, run * seen_.size() / kRuns, (run + 1) * seen_.size() / kRuns); });
 }
 
 }  // namespace palmar

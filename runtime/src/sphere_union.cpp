@@ -50,7 +50,8 @@ struct SphereUnion::Patch {
   }
   // The same for every tree of spheres, however it drops patches.
   Random random(std::uint64_t seed, std::int32_t ball) const {
-    const std::uint64_t place = ((std::uint64_t(side) * cells + row) * cells + column) * 64 + std::bit_width(unsigned(cells));
+    const std::uint64_t place =
+        ((std::uint64_t(side) * cells + row) * cells + column) * 64 + std::bit_width(unsigned(cells));
     Random found{seed * 0x9e3779b97f4a7c15ull + std::uint64_t(ball)};
     return {found.next() + place * 0xd1342543de82ef95ull};
   }
@@ -95,9 +96,8 @@ void SphereUnion::split(std::int32_t index) {
   if ((high - low).maxCoeff(&axis) < largest - least) axis = 3;
   const auto place = [&](std::int32_t k) { return axis == 3 ? balls_[k].radius : balls_[k].center[axis]; };
   const std::int32_t half = count / 2;
-  std::nth_element(begin, begin + half, begin + count, [&](std::int32_t i, std::int32_t j) {
-    return std::pair(place(i), i) < std::pair(place(j), j);
-  });
+  std::nth_element(begin, begin + half, begin + count,
+                   [&](std::int32_t i, std::int32_t j) { return std::pair(place(i), i) < std::pair(place(j), j); });
   const std::int32_t child = std::int32_t(nodes_.size());
   nodes_.push_back({low, high, largest, first, half});
   nodes_.push_back({low, high, largest, first + half, count - half});

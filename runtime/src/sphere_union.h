@@ -36,8 +36,8 @@ class SphereUnion {
   // Where a ray along the unit direction from each point leaves the union first, and the ball that it leaves there; 0
   // and no ball for a point outside.
   std::vector<NearBall> exits(const std::vector<Vec3>& points, const std::vector<Vec3>& directions) const;
-  // Samples of the skin, every sphere grown by `offset`: about one for each spacing^2, one to a patch at random. A patch
-  // of a sphere inside a neighbour is dropped whole, the others are split.
+  // Samples of the skin, every sphere grown by `offset`: about one for each spacing^2, one to a patch at random. A
+  // patch of a sphere inside a neighbour is dropped whole, the others are split.
   std::vector<SkinSample> skin(double offset, double spacing, std::uint64_t seed) const;
 
   // Radii that cover every point of the triangles: a triangle whose corners lie in one sphere is covered, any other is

@@ -1,7 +1,7 @@
 """What a tree costs against triangles and leaves: python tests/tools/growth_figures.py [--plot growth.svg]
 
-One row a tree of a lumpy ball of 90 mm, each in a process of its own: CPU seconds, wall seconds and peak memory. `power`
-is the slope of CPU seconds between this row and the one before on logarithmic scales: 1 is linear.
+One row a tree of a lumpy ball of 90 mm, each in a process of its own: CPU seconds, wall seconds and peak memory.
+`power` is the slope of CPU seconds between this row and the one before on logarithmic scales: 1 is linear.
 """
 
 import argparse
