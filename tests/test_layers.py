@@ -15,11 +15,11 @@ KNOW_ALL = (
 )
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [
-    "error records algebra crc32 cdr mcap wide",
+    "error records algebra crc32 cdr mcap wide parallel",
     "random triangle_tree point_tree sphere_tree hand schemas mcap_reader mcap_writer",
     "bound_tree inside_ball sphere_union object gap qp pack_file resample channels",
     "contacts cover_fit curvature device_recording metric trace_file run_file",
-    "force filter release search",
+    "cover_moves force filter release search",
     "solver",
     "baseline round",
     "bend solve_.*",
@@ -42,7 +42,7 @@ DOORS = {
     "safetensors": ["runtime/palmar/model.py"],
     "serial": ["traces/port.py"],
     "threadpoolctl": ["tools/hand_fit.py", "traces/finger_shape.py", "traces/inverse.py"],
-    "trimesh": ["eval/view3d.py", "tools/close.py", "tools/mesh.py", "tools/moved.py"],
+    "trimesh": ["eval/view3d.py", *(f"tools/{name}.py" for name in ("close", "mesh", "moved", "painted"))],
     "typer": [
         f"runtime/palmar/cli{name}.py"
         for name in ("", "_app", "_calibrate", "_make", "_record", "_trace", "_judge", "_check", "_chart")

@@ -20,8 +20,9 @@ Progress = Callable[[str, float], None]
 Phase = tuple[float, float, int]
 
 CAP = 200_000
-# Finer than this share of the object's size, spheres would copy the facets of a round mesh one by one.
-_FINEST = 1e-4
+# Finer than this share of the object's size, spheres would copy the facets of a round mesh one by one: that is done
+# only for a count that flat sides would need at half of it or less, and never below what single precision holds.
+_FINEST, _LEAST = 1e-4, 1e-6
 _ALLOWED = 0.99  # of the error: what the 99th percentile varies by between sets of samples
 _WORST = 1.9  # times G: what even a corner or an edge should not exceed
 _CORNERS = 0.05  # share of a given count that may go to them
@@ -41,7 +42,7 @@ _TEMPERATURE = 0.004
 def within_count(target: Target, count: int, mode: str, seed: int, tell: Progress) -> Array:
     """Centres and inside distances (n, 4), n <= count, with the least G found."""
     balls = _candidates(target, count, seed)
-    budget = _budget_for(target, balls, count)
+    budget, finest = _budget_for(target, balls, count), _finest(target, balls, count)
     balls = _spread(balls, count, budget, seed)
     corners, total = np.empty((0, 4)), count
     for number, phase in enumerate(_phases(count)):
@@ -57,21 +58,21 @@ def within_count(target: Target, count: int, mode: str, seed: int, tell: Progres
         def report(part: float, number: int = number) -> None:
             tell("improve", 0.1 + 0.8 * (number + part) / len(_PHASES))
 
-        budget = _improve(fit, count, budget, mode, phase, _finest(target), report)
+        budget = _improve(fit, count, budget, mode, phase, finest, report)
         balls = fit.balls()
         if last:
             # What moved away from corners since; and what is left of the reserve where most is bare.
             more = _corners(target, balls, budget, mode, seed + 10, total - len(balls))
-            balls = _fill(target, fit, np.concatenate([balls, more]), total, budget, mode)
+            balls = _fill(target, fit, np.concatenate([balls, more]), total, budget, mode, finest)
         del fit  # before the next takes its memory
     return within(target.solid, balls)
 
 
-def _fill(target: Target, fit: CoverFit, balls: Array, total: int, budget: float, mode: str) -> Array:
+def _fill(target: Target, fit: CoverFit, balls: Array, total: int, budget: float, mode: str, finest: float) -> Array:
     """The balls and more of them up to a total, where most is bare; fewer if only facets were left to copy."""
     while True:
         balls = within(target.solid, balls)
-        if len(balls) == total or budget < _finest(target):
+        if len(balls) == total or budget < finest:
             return balls
         _set_budget(fit, budget, mode)
         fit.set_balls(target.solid.triangles, balls)
@@ -83,12 +84,13 @@ def _fill(target: Target, fit: CoverFit, balls: Array, total: int, budget: float
 def thinned(target: Target, balls: Array, count: int, mode: str, seed: int) -> Array:
     """Centres and inside distances (n, 4), n <= count, with the least G found from those of a finer cover."""
     density, step, rounds = _LEVEL
+    rounds = round(_fewer(count) * rounds)
     budget = _budget_for(target, balls, count)
     fit = target.make_fit(round(np.clip(density * count, 6_000, _MOST_SAMPLES)), seed)
     _set_budget(fit, budget, mode)
     fit.set_balls(target.solid.triangles, balls)
     fit.remove(len(balls) - count)
-    _improve(fit, count, budget, mode, (density, step, rounds), _finest(target))
+    _improve(fit, count, budget, mode, (density, step, rounds), _finest(target, balls, count))
     return within(target.solid, fit.balls())
 
 
@@ -187,8 +189,10 @@ def _corners(target: Target, balls: Array, budget: float, mode: str, seed: int, 
     return cover_corners(target, balls, _WORST * budget, EXCESS[mode] * budget, seed, most)
 
 
-def _finest(target: Target) -> float:
-    return 2 * _FINEST * target.solid.size
+def _finest(target: Target, balls: Array, count: int) -> float:
+    """G below which no more balls are made of it."""
+    size = 2 * target.solid.size
+    return float(np.clip(_even_budget(target, balls, count) / 2, _LEAST * size, _FINEST * size))
 
 
 def _too_fine(error: float, found: str) -> BadMesh:
@@ -197,12 +201,16 @@ def _too_fine(error: float, found: str) -> BadMesh:
 
 def _phases(count: int) -> list[Phase]:
     """Fewer samples a ball and rounds for so many balls, for the time and memory that they take."""
-    fewer = min(1.0, (2_000 / max(count, 1)) ** 0.45)
     most = _MOST_SAMPLES // count
     return [
-        (max(min(density, most), 6_000 // count), step, max(2, round(fewer * rounds)))
+        (max(min(density, most), 6_000 // count), step, max(2, round(_fewer(count) * rounds)))
         for density, step, rounds in _PHASES
     ]
+
+
+def _fewer(count: int) -> float:
+    """Share of the rounds for so many balls."""
+    return min(1.0, (2_000 / max(count, 1)) ** 0.45)
 
 
 def _temperature(density: float, turn: int, rounds: int) -> float:
@@ -231,11 +239,16 @@ def _spread(balls: Array, count: int, budget: float, seed: int) -> Array:
 
 def _budget_for(target: Target, balls: Array, count: int) -> float:
     """G that so many balls are expected to reach, with room."""
-    low, high = _finest(target), 2 * target.solid.size
+    return 1.3 * max(_even_budget(target, balls, count), _finest(target, balls, count))
+
+
+def _even_budget(target: Target, balls: Array, count: int) -> float:
+    """G at which flat sides need so many balls."""
+    low, high = 2 * _LEAST * target.solid.size, 2 * target.solid.size
     for _ in range(40):
         middle = np.sqrt(low * high)
         low, high = (middle, high) if _expected_count(target, balls, middle) > count else (low, middle)
-    return float(1.3 * high)
+    return float(high)
 
 
 def _expected_count(target: Target, balls: Array, budget: float) -> float:

@@ -20,8 +20,9 @@ from palmar.tools.close import close_mesh, require_closed
 from palmar.tools.cover import level_errors
 from palmar.tools.default_hands import find_hand, is_default
 from palmar.tools.mesh import Mesh, read_mesh
+from palmar.tools.painted import PAINTED, read_painted
 from palmar.tools.profile_file import read_profile
-from palmar.tools.region import LEAST_SHARE, TOUCHED_SHARE, read_regions
+from palmar.tools.region import LEAST_SHARE, NO_REGIONS, TOUCHED_SHARE, Regions, read_regions
 from palmar.tools.shapes import SHAPES
 from palmar.tools.sphere_tree import MODES, build_levels, levels_over
 from palmar.tools.spheres_csv import read_spheres_csv
@@ -54,8 +55,8 @@ class Source:
     spheres_csv: str | None = None  # leaves as they are
     csv_units: str = "m"
     mode: str = "balanced"  # see `build_levels`
-    region: tuple[str, ...] = ()  # CSV files and runs, see `read_regions`
-    touched: tuple[str, ...] = ()
+    region: tuple[str, ...] = ()  # CSV files, or PAINTED
+    touched: tuple[str, ...] = ()  # runs
     touched_share: float = TOUCHED_SHARE
 
 
@@ -164,16 +165,18 @@ def build_object(source: Source, seed: int, progress: Progress) -> tuple[SphereT
             error_m=error_m,
             spheres=None if source.spheres is None else int(source.spheres),
             mode=source.mode,
-            regions=read_regions(source.region, source.touched, source.touched_share),
+            regions=_regions(source, mesh),
             seed=seed,
             progress=lambda text, part: progress(text, 0.3 + 0.5 * part),
         )
         method = str(parameters.pop("method", "built"))
         if source.spheres is not None and len(levels[-1]) < source.spheres:
-            found = f"{len(levels[-1])} of {int(source.spheres)} spheres: they follow it to a 10,000th of its size"
-            warnings.append(f"{source.name}: {found}, more would copy its facets")
+            found = f"{len(levels[-1])} of {int(source.spheres)} spheres"
+            warnings.append(f"{source.name}: {found}; more would only copy the facets of its mesh one by one")
         if source.region or source.touched:
-            files = [Path(path) for path in (*source.region, *source.touched)]
+            files = [Path(path) for path in (*source.region, *source.touched) if path != PAINTED]
+            if PAINTED in source.region:
+                parameters["painted"] = True
             parameters["region_files"] = [[path.name, sha256_of(path)] for path in files]
             parameters["touched_share"] = source.touched_share
     else:
@@ -198,6 +201,17 @@ def build_object(source: Source, seed: int, progress: Progress) -> tuple[SphereT
         "levels": level_errors(levels, mesh.vertices_m, mesh.faces, seed),
     }
     return SphereTree(levels, bounds, mesh.vertices_m, mesh.faces, about), warnings
+
+
+def _regions(source: Source, mesh: Mesh) -> Regions:
+    painted = NO_REGIONS
+    if PAINTED in source.region:
+        if source.mesh.startswith(SHAPE):
+            found = f"{PAINTED}; {source.mesh} has no paint, a mesh file with painted vertices is needed"
+            raise PalmarError("E-CONF", "--region", found)
+        painted = read_painted(source.mesh, mesh.metres_per_unit)
+    files = [path for path in source.region if path != PAINTED]
+    return read_regions(files, source.touched, source.touched_share, painted)
 
 
 def read_solid(source: Source, seed: int, progress: Progress) -> tuple[Mesh, dict[str, Any] | None, list[str]]:
@@ -254,7 +268,7 @@ def _get_paths(at: str, row: dict[str, Any], key: str, folder: Path) -> tuple[st
     listed = row[key] if isinstance(row[key], list) else [row[key]]
     if not all(isinstance(path, str) and path for path in listed):
         raise BadPack("E-CONF", f"{at}.{key}", f"{row[key]!r}; a path or a list of paths is needed")
-    return tuple(str(folder / path) for path in listed)
+    return tuple(path if path == PAINTED else str(folder / path) for path in listed)
 
 
 def _check_source(source: Source) -> None:

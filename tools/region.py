@@ -53,17 +53,19 @@ class Regions:
 NO_REGIONS = Regions(np.empty((0, 4)), np.empty(0))
 
 
-def read_regions(files: Sequence[str | Path], touched: Sequence[str | Path], touched_share: float) -> Regions:
-    """Regions of CSV files (one ball a row; columns x_mm, y_mm, z_mm, radius_mm, share) and round contacts of runs.
+def read_regions(
+    files: Sequence[str | Path], touched: Sequence[str | Path], touched_share: float, more: Regions = NO_REGIONS
+) -> Regions:
+    """Regions of CSV files (one ball a row; columns x_mm, y_mm, z_mm, radius_mm, share), round contacts of runs, more.
 
     Raises BadPack, BadTrace.
     """
-    parts = [*map(_read_csv, files), *(_touched(path, touched_share) for path in touched)]
-    regions = Regions(*(np.concatenate([part[k] for part in parts]) for k in range(2))) if parts else NO_REGIONS
+    parts = [*map(_read_csv, files), *(_touched(path, touched_share) for path in touched), (more.balls_m, more.share)]
+    regions = Regions(*(np.concatenate([part[k] for part in parts]) for k in range(2)))
     if len(regions.shares) > MOST_SHARES:
         raise BadPack(
             "E-REGION",
-            str((*files, *touched)[0]),
+            str((*files, *touched, "paint")[0]),
             f"{len(regions.shares)} different shares; up to {MOST_SHARES} are allowed",
         )
     return regions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,6 +16,7 @@ from palmar.errors import BadMesh
 Array = NDArray[np.float64]
 
 _CREASE_DEG = 25.0  # facets that meet at less stand for a smooth surface
+_BLOCK = 100_000  # points or corners at a time, for memory
 # R2 sequence (Roberts 2018), the plane's counterpart of the golden ratio: even inside one big triangle.
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])
 
@@ -39,6 +41,11 @@ class Solid:
     def triangles(self) -> TriangleTree:
         """Search tree for many points deep inside, from one neighbour to the next."""
         return TriangleTree(self.vertices, self.faces)
+
+    @cached_property
+    def along(self) -> tuple[NDArray[np.int64], Array]:
+        """The faces in order along a space-filling curve, and the sum of areas up to each."""
+        return _along(self.vertices[self.faces].mean(axis=1), self.areas)
 
     @cached_property
     def corner_normals(self) -> Array:
@@ -82,25 +89,40 @@ def make_solid(vertices: Array, faces: NDArray[np.integer]) -> Solid:
 
 def sample_surface(solid: Solid, count: int, seed: int) -> tuple[Array, NDArray[np.int64]]:
     """Area-uniform, evenly spread points on the surface: (count, 3), and the face (count,) of each."""
-    return sample_triangles(solid.vertices[solid.faces], solid.areas, count, seed)
+    slot, face, start = _sample(*solid.along, count, seed)
+    return _inside_triangles((solid.vertices[solid.faces[face, k]] for k in range(3)), slot, start), face
 
 
 def sample_triangles(corners: Array, areas: Array, count: int, seed: int) -> tuple[Array, NDArray[np.int64]]:
     """The same for triangles by their corners (t, 3, 3) and areas (t,)."""
+    slot, face, start = _sample(*_along(corners.mean(axis=1), areas), count, seed)
+    return _inside_triangles((corners[face, k] for k in range(3)), slot, start), face
+
+
+def _along(middles: Array, areas: Array) -> tuple[NDArray[np.int64], Array]:
+    """Triangles in order along a space-filling curve, and the sum of areas up to each."""
+    order = morton_order(middles)
+    return order, np.cumsum(areas[order])
+
+
+def _sample(
+    order: NDArray[np.int64], ends: Array, count: int, seed: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Place in the order, triangle, and where in the triangle its points begin, of each sample."""
     rng = np.random.default_rng(seed)
-    # Systematic sampling along a space-filling order of the faces: each gets its share of points to within one.
-    order = morton_order(corners.mean(axis=1))
-    ends = np.cumsum(areas[order])
+    # Systematic sampling along the order: each triangle gets its share of points to within one.
     at = (np.arange(count) + rng.random()) * (ends[-1] / count)
     slot = np.minimum(np.searchsorted(ends, at, side="right"), len(order) - 1)
+    return slot, order[slot], rng.random((len(order), 2))[slot]
+
+
+def _inside_triangles(corners: Iterable[Array], slot: NDArray[np.int64], start: Array) -> Array:
+    """One even sequence of points in each triangle: (n, 3)."""
     first = np.searchsorted(slot, slot, side="left")
-    face = order[slot]
-    start = rng.random((len(order), 2))
-    u, v = ((start[slot] + (np.arange(count) - first)[:, None] * _R2) % 1.0).T
-    flip = u + v > 1
-    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-    a, b, c = (corners[face, k] for k in range(3))
-    return a + u[:, None] * (b - a) + v[:, None] * (c - a), face
+    uv = (start + (np.arange(len(slot)) - first)[:, None] * _R2) % 1.0
+    uv = np.where(uv.sum(axis=1, keepdims=True) > 1, 1 - uv, uv)
+    a, b, c = corners
+    return a + uv[:, :1] * (b - a) + uv[:, 1:] * (c - a)
 
 
 def closest_points(solid: Solid, points: Array) -> tuple[Array, Array, NDArray[np.int64]]:
@@ -135,36 +157,41 @@ def smooth_normals(solid: Solid, points: Array, face: NDArray[np.int64]) -> Arra
 
     A facet of a round body points a little off its axis; a ball 40 mm deep feels that as millimetres.
     """
-    corners = solid.corner_normals[face]
-    a, b, c = (solid.vertices[solid.faces[face, k]] for k in range(3))
-    share = np.stack([_double_area(points, b, c), _double_area(points, c, a), _double_area(points, a, b)], axis=1)
-    blend = np.einsum("nk,nki->ni", share / np.maximum(share.sum(axis=1), 1e-300)[:, None], corners)
-    length = np.linalg.norm(blend, axis=1)
-    return np.where(length[:, None] > 0.1, blend / np.maximum(length, 1e-300)[:, None], solid.normals[face])
+    found = np.empty((len(points), 3))
+    for first in range(0, len(points), _BLOCK):
+        some = slice(first, first + _BLOCK)
+        a, b, c = (solid.vertices[solid.faces[face[some], k]] for k in range(3))
+        at = points[some]
+        share = np.stack([_double_area(at, b, c), _double_area(at, c, a), _double_area(at, a, b)], axis=1)
+        share /= np.maximum(share.sum(axis=1), 1e-300)[:, None]
+        blend = np.einsum("nk,nki->ni", share, solid.corner_normals[face[some]])
+        length = np.linalg.norm(blend, axis=1)[:, None]
+        found[some] = np.where(length > 0.1, blend / np.maximum(length, 1e-300), solid.normals[face[some]])
+    return found
 
 
 def _corner_normals(solid: Solid) -> Array:
     """Normal (f, 3, 3) at each corner of a face: the mean by area of the faces around it within the crease angle."""
     corner_vertex = solid.faces.ravel()
-    corner_face = np.repeat(np.arange(len(solid.faces)), 3)
     order = np.argsort(corner_vertex, kind="stable")
     valence = np.bincount(corner_vertex, minlength=len(solid.vertices))
     start = np.cumsum(valence) - valence
+    total = np.repeat(solid.normals * (1e-9 * solid.areas.max()), 3, axis=0)
     # A fan of hundreds of faces is a cap, flat or sharp: its facets' own normals serve.
-    corner = np.flatnonzero(valence[corner_vertex] <= 64)
-    counts = valence[corner_vertex[corner]]
-    ends = np.cumsum(counts)
-    at = np.repeat(start[corner_vertex[corner]] - (ends - counts), counts) + np.arange(counts.sum())
-    other = corner_face[order[at]]
-    own = np.repeat(corner, counts)
-    like = np.einsum("ij,ij->i", solid.normals[corner_face[own]], solid.normals[other]) > np.cos(
-        np.radians(_CREASE_DEG)
-    )
-    own, other = own[like], other[like]
-    total = solid.normals[corner_face].copy() * 1e-9 * solid.areas.max()
-    for axis in range(3):
-        weight = solid.normals[other, axis] * solid.areas[other]
-        total[:, axis] += np.bincount(own, weight, minlength=len(total))
+    corners = np.flatnonzero(valence[corner_vertex] <= 64)
+    for first in range(0, len(corners), _BLOCK):
+        corner = corners[first : first + _BLOCK]
+        counts = valence[corner_vertex[corner]]
+        ends = np.cumsum(counts)
+        own = np.repeat(np.arange(len(corner)), counts)
+        at = np.repeat(start[corner_vertex[corner]] - (ends - counts), counts) + np.arange(ends[-1])
+        other = order[at] // 3
+        alike = np.einsum("ij,ij->i", solid.normals[corner[own] // 3], solid.normals[other])
+        like = alike > np.cos(np.radians(_CREASE_DEG))
+        own, other = own[like], other[like]
+        for axis in range(3):
+            weight = solid.normals[other, axis] * solid.areas[other]
+            total[corner, axis] += np.bincount(own, weight, minlength=len(corner))
     length = np.linalg.norm(total, axis=1)
     return (total / np.maximum(length, 1e-300)[:, None]).reshape(-1, 3, 3)
 

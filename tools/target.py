@@ -19,7 +19,7 @@ from palmar import _runtime
 from palmar._runtime import CoverFit, TriangleTree
 from palmar.tools.cover import PROBE_M, exposed_skin, union_gap
 from palmar.tools.region import Regions, zone_triangles
-from palmar.tools.solid import Solid, sample_triangles, signed_distance, smooth_normals
+from palmar.tools.solid import Solid, sample_surface, sample_triangles, signed_distance, smooth_normals
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -70,7 +70,7 @@ class Target:
         By area, and in zones as much denser as their error is to be less.
         """
         solid = self.solid
-        points, face = sample_triangles(solid.vertices[solid.faces], solid.areas, round(count / self.crowding), seed)
+        points, face = sample_surface(solid, round(count / self.crowding), seed)
         if not self.patches:
             return points, face, np.zeros(len(points), dtype=np.int64)
         zone = self.regions.zone_of(points)

@@ -44,7 +44,10 @@ def build(
     ] = "balanced",
     region: Annotated[
         list[Path] | None,
-        typer.Option(help="CSV of balls (x_mm, y_mm, z_mm, radius_mm, share) in which the error is to be that share."),
+        typer.Option(
+            help="CSV of balls (x_mm, y_mm, z_mm, radius_mm, share) in which the error is to be that share; "
+            "or `painted`: where the mesh's vertices are painted."
+        ),
     ] = None,
     touched: Annotated[
         list[Path] | None, typer.Option(help="Run whose contacts, 5 mm around, are to have a share of the error.")

@@ -2,16 +2,16 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
-#include <thread>
+
+#include "parallel.h"
 
 namespace palmar {
 namespace {
 
-constexpr std::int32_t kNone = -1;
-constexpr std::size_t kBlock = 48;  // places judged against one state, or a share of many balls
-constexpr std::size_t kBlockShare = 64;
-constexpr double kSlack = 0.4;  // of the budget: what may enter a ball that passes over dents and facets
+constexpr double kKeep = 1.04, kKeepMost = 1.3;  // times the budget's high end: what lists hold
+constexpr double kStale = 1e-3;                  // share of the samples whose lists may be short
+constexpr std::size_t kParts = 64;               // of the samples, each with one thread when lists are made anew
+constexpr std::size_t kRuns = 8;                 // of the samples, each summed by itself
 
 }  // namespace
 
@@ -19,10 +19,14 @@ CoverFit::CoverFit(const TriangleTree& tree, std::vector<Zone> zones, const Samp
                    int threads)
     : tree_(tree),
       zones_(std::move(zones)),
-      samples_(samples.points),
+      samples_(samples.points, threads),
       seen_(samples.points.size()),
+      complete_(samples.points.size()),
       threads_(threads),
       random_{seed} {
+  for (std::vector<Vec3>* rows : {&points_, &inward_}) rows->reserve(samples.points.size());
+  for (std::vector<std::int32_t>* rows : {&faces_, &zone_}) rows->reserve(samples.points.size());
+  stricter_.reserve(samples.points.size());
   for (const std::int32_t s : samples_.order()) {
     points_.push_back(samples.points[s]);
     inward_.push_back(samples.inward[s]);
@@ -50,54 +54,82 @@ double CoverFit::disc(const InsideBall& ball) const { return std::sqrt(2 * ball.
 void CoverFit::set_balls(std::vector<InsideBall> balls, int fixed) {
   balls_ = std::move(balls);
   fixed_ = std::size_t(fixed);
+  kept_ = 0;
   set_budget(low_, high_, excess_);
 }
 
 void CoverFit::set_budget(double low, double high, double excess) {
   excess_ = float(excess);
-  for (InsideBall& ball : balls_) ball.held = held_inside(zones_, ball.center, ball.inside, excess_);
   low_ = low;
   high_ = high;
   budget_ = 0.5 * (low + high);
   slope_ = high > low ? 1 / (high - low) : 0;
-  Seen nothing;
-  std::fill_n(nothing.ball, kKept, kNone);
-  std::fill_n(nothing.gap, kKept, float(high));
-  std::fill(seen_.begin(), seen_.end(), nothing);
-  for (std::size_t k = 0; k < balls_.size(); ++k) enter(std::int32_t(k));
+  // Without zones gaps depend on no budget, and lists that reach far enough and lack nothing are as good as new.
+  if (zones_.empty() && high <= kept_ && kept_ <= kKeepMost * high) {
+    std::size_t stale = 0;
+    for (std::size_t s = 0; s < seen_.size(); ++s) stale += seen_[s].gap[1] > complete_[s] && complete_[s] < high;
+    if (double(stale) <= kStale * double(seen_.size())) return;
+  }
+  for (InsideBall& ball : balls_) ball.held = held_inside(zones_, ball.center, ball.inside, excess_);
+  kept_ = kKeep * high;
+  see_all();
 }
 
-void CoverFit::enter(std::int32_t index) {
-  const InsideBall& ball = balls_[index];
-  const float held = float(ball.held);
-  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float distance) {
-    Seen& seen = seen_[s];
+void CoverFit::see_all() {
+  Seen nothing;
+  std::fill_n(nothing.ball, kKept, kNone);
+  std::fill_n(nothing.gap, kKept, float(kept_));
+  std::fill(seen_.begin(), seen_.end(), nothing);
+  std::fill(complete_.begin(), complete_.end(), float(kept_));
+  const std::vector<std::int32_t> parts = samples_.parts(kParts);
+  in_parallel(threads_, parts.size(), [&](std::size_t part) {
+    Hits hits;
+    for (std::size_t k = 0; k < balls_.size(); ++k) {
+      reach(balls_[k], hits, parts[part]);
+      enter(std::int32_t(k), hits);
+    }
+  });
+}
+
+void CoverFit::reach(const InsideBall& ball, Hits& hits, std::int32_t part) const {
+  hits.clear();
+  const float held = float(ball.held), most = float(kept_);
+  const auto add = [&](std::int32_t s, float distance) {
     const float gap = gap_of(s, distance, held);
-    if (!(gap < seen.gap[kKept - 1])) return;
+    if (gap < most) hits.push_back({s, gap});
+  };
+  samples_.within(ball.center, ball.held + kept_, add, part);
+}
+
+void CoverFit::enter(std::int32_t index, const Hits& hits) {
+  for (const auto& [s, gap] : hits) {
+    Seen& seen = seen_[s];
     int at = kKept - 1;
+    const float last = std::max(gap, seen.gap[at]);  // what the list has no room for
+    if (seen.ball[at] >= 0) complete_[s] = std::min(complete_[s], last);
+    if (!(gap < seen.gap[at])) continue;
     for (; at > 0 && gap < seen.gap[at - 1]; --at) {
       seen.gap[at] = seen.gap[at - 1];
       seen.ball[at] = seen.ball[at - 1];
     }
     seen.gap[at] = gap;
     seen.ball[at] = index;
-  });
+  }
 }
 
-void CoverFit::leave(std::int32_t index) {
-  const InsideBall& ball = balls_[index];
-  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float) {
+void CoverFit::leave(std::int32_t index, const Hits& hits) {
+  for (const auto& [s, gap] : hits) {
     Seen& seen = seen_[s];
     int at = 0;
     while (at < kKept && seen.ball[at] != index) ++at;
-    if (at == kKept) return;
+    if (at == kKept) continue;
     for (; at + 1 < kKept; ++at) {
       seen.gap[at] = seen.gap[at + 1];
       seen.ball[at] = seen.ball[at + 1];
     }
-    seen.gap[kKept - 1] = float(high_);
+    seen.gap[kKept - 1] = float(kept_);
     seen.ball[kKept - 1] = kNone;
-  });
+  }
 }
 
 double CoverFit::quantile(double share) const {
@@ -110,269 +142,58 @@ double CoverFit::quantile(double share) const {
     std::nth_element(of_zone.begin(), at, of_zone.end());
     worst = std::max(worst, *at);
   }
-  return worst;
+  return std::min(double(worst), high_);
 }
 
-double CoverFit::gain(const InsideBall& ball, std::int32_t without) const {
+double CoverFit::gain(const Hits& hits, std::int32_t without) const {
   double sum = 0;
-  const float held = float(ball.held);
-  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float distance) {
+  for (const auto& [s, gap] : hits) {
     const Seen& seen = seen_[s];
     const float rest = seen.ball[0] == without ? seen.gap[1] : seen.gap[0];
-    const float gap = gap_of(s, distance, held);
     if (gap < rest) sum += cost_of(rest) - cost_of(gap);
-  });
+  }
   return sum;
 }
 
-double CoverFit::loss(std::int32_t index) const {
+double CoverFit::loss(std::int32_t index, const Hits& hits) const {
   double sum = 0;
-  const InsideBall& ball = balls_[index];
-  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float) {
+  for (const auto& [s, gap] : hits) {
     const Seen& seen = seen_[s];
     if (seen.ball[0] == index) sum += cost_of(seen.gap[1]) - cost_of(seen.gap[0]);
-  });
+  }
   return sum;
 }
 
 std::vector<double> CoverFit::losses() const {
-  std::vector<double> sum(balls_.size(), 0.0);
-  for (const Seen& seen : seen_) {
-    if (seen.ball[0] >= 0) sum[seen.ball[0]] += cost_of(seen.gap[1]) - cost_of(seen.gap[0]);
-  }
-  return sum;
-}
-
-Vec3 CoverFit::pull(std::int32_t index) const {
-  const InsideBall& ball = balls_[index];
-  Vec3 sum = Vec3::Zero();
-  samples_.within(ball.center, ball.held + high_, [&](std::int32_t s, float) {
-    const Seen& seen = seen_[s];
-    if (seen.ball[0] == index && seen.gap[0] > low_) sum += (points_[s] - ball.center).normalized();
+  std::vector<std::vector<double>> parts(kRuns);
+  in_runs([&](std::size_t run, std::size_t first, std::size_t last) {
+    std::vector<double>& sum = parts[run];
+    sum.assign(balls_.size(), 0.0);
+    for (std::size_t s = first; s < last; ++s) {
+      const Seen& seen = seen_[s];
+      if (seen.ball[0] >= 0) sum[seen.ball[0]] += cost_of(seen.gap[1]) - cost_of(seen.gap[0]);
+    }
   });
-  const double length = sum.norm();
-  return length > 0 ? Vec3(sum / length) : sum;
-}
-
-std::optional<InsideBall> CoverFit::moved(const InsideBall& ball, const Vec3& shift, Random& random) const {
-  const double far = shift.norm();
-  if (far >= ball.inside) return {};
-  const Vec3 center = ball.center + shift;
-  const Closest found = tree_.closest(center, ball.face);
-  const double distance = std::sqrt(found.squared);
-  if (distance < kSmallestBall * tree_.size()) return {};
-  if (random.uniform() < 0.2) return ball_at(center, found);
-  // Up from the surface to the medial axis again, or a little past it.
-  const Vec3 inward = (center - found.point) / distance;
-  const double slack = random.uniform() < 0.5 ? 0.0 : kSlack * budget_ * random.uniform();
-  return shot(found.point, inward, found.face, slack, distance + 2 * far + slack);
-}
-
-std::optional<InsideBall> CoverFit::walk(std::int32_t index, double step, int moves, double temperature,
-                                         Random random) const {
-  InsideBall at = balls_[index];
-  const double own = loss(index);
-  double worse_at = 0;
-  bool left = false;
-  const Vec3 towards = pull(index);
-  Vec3 again = Vec3::Zero();
-  for (int move = 0; move < moves; ++move) {
-    const double size = step * disc(at) * std::pow(8.0, -random.uniform());
-    Vec3 shift = again;
-    if (again.isZero()) shift = size * (random.in_ball() + (move % 2 ? 0.0 : 1.0) * towards);
-    again.setZero();
-    const auto other = moved(at, shift, random);
-    if (!other) continue;
-    const double worse = own - gain(*other, index);
-    const bool better = worse < worse_at;
-    if (better || (temperature > 0 && random.uniform() < std::exp((worse_at - worse) / temperature))) {
-      if (better) again = other->center - at.center;
-      at = *other;
-      worse_at = worse;
-      left = true;
-    }
+  for (std::size_t run = 1; run < kRuns; ++run) {
+    for (std::size_t k = 0; k < balls_.size(); ++k) parts[0][k] += parts[run][k];
   }
-  return left ? std::optional(at) : std::nullopt;
-}
-
-void CoverFit::in_parallel(std::size_t count, const std::function<void(std::size_t)>& work) const {
-  const std::size_t threads = std::min(std::size_t(threads_), count);
-  const auto share = [&](std::size_t thread) {
-    for (std::size_t k = thread; k < count; k += threads) work(k);
-  };
-  std::vector<std::thread> others;
-  for (std::size_t thread = 1; thread < threads; ++thread) others.emplace_back(share, thread);
-  if (threads) share(0);
-  for (std::thread& other : others) other.join();
-}
-
-int CoverFit::polish(double step, int moves, double temperature) {
-  std::vector<std::int32_t> order(balls_.size() - fixed_);
-  std::iota(order.begin(), order.end(), std::int32_t(fixed_));
-  for (std::size_t k = order.size(); k > 1; --k) std::swap(order[k - 1], order[random_.below(k)]);
-  std::vector<std::optional<InsideBall>> found(kBlock);
-  int taken = 0;
-  for (std::size_t first = 0; first < order.size(); first += kBlock) {
-    const std::size_t count = std::min(kBlock, order.size() - first);
-    const std::uint64_t seed = random_.next();
-    in_parallel(count, [&](std::size_t k) {
-      found[k] = walk(order[first + k], step, moves, temperature, Random{seed + k * 0x2545f4914f6cdd1dull});
-    });
-    for (std::size_t k = 0; k < count; ++k) {
-      if (!found[k]) continue;
-      const std::int32_t index = order[first + k];
-      const double worse = loss(index) - gain(*found[k], index);
-      if (worse < 0 || (temperature > 0 && random_.uniform() < std::exp(-worse / temperature))) {
-        leave(index);
-        balls_[index] = *found[k];
-        enter(index);
-        ++taken;
-      }
-    }
-  }
-  return taken;
-}
-
-std::optional<InsideBall> CoverFit::best_at(std::size_t sample, int candidates, Random& random) const {
-  std::optional<InsideBall> best;
-  double most = 0;
-  const auto judge = [&](const std::optional<InsideBall>& ball) {
-    const double now = ball ? gain(*ball, kNone) : 0;
-    if (now > most) most = now, best = ball;
-  };
-  const Vec3 &from = points_[sample], &inward = inward_[sample];
-  for (int k = 0; k < candidates; ++k) {
-    if (k % 4 == 3) {
-      // Down from an edge or a corner, where medial balls are tiny.
-      const Vec3 center = from + 3 * budget_ * random.uniform() * inward;
-      const Closest found = tree_.closest(center, faces_[sample]);
-      const bool open = !tree_.crosses(from + kSurfaceRounding * tree_.size() * inward, center);
-      if (open) judge(ball_at(center, found));
-    } else {
-      const double slack = k % 2 ? kSlack * budget_ * random.uniform() : 0.0;
-      judge(shot(from, inward, faces_[sample], slack, 0.5 * tree_.size()));
-      if (best) judge(moved(*best, random.uniform() * disc(*best) * random.in_ball(), random));
-    }
-  }
-  return best;
+  return std::move(parts[0]);
 }
 
 std::vector<std::int32_t> CoverFit::bare() const {
-  std::vector<std::int32_t> found;
-  for (std::size_t s = 0; s < seen_.size(); ++s) {
-    if (seen_[s].gap[0] > budget_) found.push_back(std::int32_t(s));
-  }
-  return found;
-}
-
-int CoverFit::exchange(int trials, int candidates) {
-  int taken = 0;
-  const std::size_t block = std::max(kBlock, balls_.size() / kBlockShare);
-  std::vector<Move> moves(block);
-  for (int first = 0; first < trials && balls_.size() > fixed_; first += int(block)) {
-    const std::vector<double> lost = losses();
-    std::vector<std::int32_t> order(balls_.size() - fixed_);
-    std::iota(order.begin(), order.end(), std::int32_t(fixed_));
-    const std::size_t pool = std::min(order.size(), std::max(block, order.size() / 10));
-    std::partial_sort(order.begin(), order.begin() + std::ptrdiff_t(pool), order.end(),
-                      [&](std::int32_t i, std::int32_t j) { return std::pair(lost[i], i) < std::pair(lost[j], j); });
-    const std::vector<std::int32_t> targets = bare();
-    if (targets.empty()) break;
-    const std::size_t count = std::min(block, std::size_t(trials - first));
-    const std::uint64_t seed = random_.next();
-    in_parallel(count, [&](std::size_t k) {
-      Random random{seed + k * 0x2545f4914f6cdd1dull};
-      moves[k].out = order[random.below(pool)];
-      moves[k].in = best_at(std::size_t(targets[random.below(targets.size())]), candidates, random);
-    });
-    int now = 0;
-    for (std::size_t k = 0; k < count; ++k) {
-      const auto& [out, in] = moves[k];
-      if (!in || gain(*in, kNone) <= loss(out)) continue;
-      leave(out);
-      balls_[out] = *in;
-      enter(out);
-      ++now;
+  std::vector<std::vector<std::int32_t>> parts(kRuns);
+  in_runs([&](std::size_t run, std::size_t first, std::size_t last) {
+    for (std::size_t s = first; s < last; ++s) {
+      if (seen_[s].gap[0] > budget_) parts[run].push_back(std::int32_t(s));
     }
-    taken += now;
-    if (!now && first > trials / 4) break;
-  }
-  return taken;
+  });
+  for (std::size_t run = 1; run < kRuns; ++run) parts[0].insert(parts[0].end(), parts[run].begin(), parts[run].end());
+  return std::move(parts[0]);
 }
 
-void CoverFit::remove(int count) {
-  while (count > 0) {
-    const int gone = take_out(count, false);
-    if (!gone) return;
-    count -= gone;
-  }
-}
-
-void CoverFit::remove_useless() {
-  // Lists of the least gaps are short: where many balls see the same samples, the next round sees more.
-  while (take_out(int(balls_.size()), true) > int(balls_.size() / 20)) set_budget(low_, high_, excess_);
-}
-
-int CoverFit::take_out(int count, bool useless) {
-  const std::size_t least = std::max<std::size_t>(fixed_, 1);
-  if (balls_.size() <= least) return 0;
-  const std::vector<double> lost = losses();
-  std::vector<std::int32_t> order(balls_.size() - fixed_);
-  std::iota(order.begin(), order.end(), std::int32_t(fixed_));
-  std::sort(order.begin(), order.end(),
-            [&](std::int32_t i, std::int32_t j) { return std::pair(lost[i], i) < std::pair(lost[j], j); });
-  // What goes changes what the others are worth: a tenth at a time, or as long as nothing is lost.
-  const std::size_t most = std::min(balls_.size() - least, useless ? order.size() : std::size_t(count));
-  std::vector<std::int32_t> gone;
-  for (const std::int32_t k : order) {
-    if (gone.size() == most || (useless ? lost[k] > 0 : gone.size() > order.size() / 10)) break;
-    if (useless && loss(k) > 0) continue;
-    leave(k);
-    gone.push_back(k);
-  }
-  std::sort(gone.rbegin(), gone.rend());
-  for (const std::int32_t k : gone) {
-    const std::int32_t last = std::int32_t(balls_.size()) - 1;
-    if (k != last) {
-      leave(last);
-      balls_[k] = balls_[last];
-      enter(k);
-    }
-    balls_.pop_back();
-  }
-  return int(gone.size());
-}
-
-int CoverFit::add(int count, int candidates) {
-  const std::size_t block = std::max(kBlock, balls_.size() / kBlockShare);
-  int added = 0;
-  while (added < count) {
-    std::vector<std::int32_t> targets = bare();
-    if (targets.empty()) break;
-    const std::size_t some = std::min<std::size_t>({std::size_t(count - added), block, targets.size()});
-    std::vector<Move> moves(some);
-    const std::uint64_t seed = random_.next();
-    in_parallel(some, [&](std::size_t k) {
-      Random random{seed + k * 0x2545f4914f6cdd1dull};
-      // Of a few bare samples the one with most to gain.
-      double most = 0;
-      for (int turn = 0; turn < 4; ++turn) {
-        const auto ball = best_at(std::size_t(targets[random.below(targets.size())]), candidates, random);
-        const double now = ball ? gain(*ball, kNone) : 0;
-        if (now > most) most = now, moves[k].in = ball;
-      }
-    });
-    int now = 0;
-    for (const Move& move : moves) {
-      if (!move.in || gain(*move.in, kNone) <= 0) continue;
-      balls_.push_back(*move.in);
-      enter(std::int32_t(balls_.size()) - 1);
-      ++now;
-    }
-    if (!now) break;
-    added += now;
-  }
-  return added;
+void CoverFit::in_runs(const std::function<void(std::size_t, std::size_t, std::size_t)>& work) const {
+  in_parallel(threads_, kRuns,
+              [&](std::size_t run) { work(run, run * seen_.size() / kRuns, (run + 1) * seen_.size() / kRuns); });
 }
 
 }  // namespace palmar

@@ -47,14 +47,23 @@ class CoverFit {
   int add(int count, int candidates);
 
  private:
+  static constexpr std::int32_t kNone = -1;
   static constexpr int kKept = 6;
   struct Seen {
     std::int32_t ball[kKept];  // those with the least gaps, in order
     float gap[kKept];
   };
+  struct Hit {
+    std::int32_t sample;
+    float gap;
+  };
+  using Hits = std::vector<Hit>;
+  // What a thread proposes: a ball for the one at `out`, and the samples in reach of both, so that whether it is taken
+  // costs no more searches.
   struct Move {
     std::int32_t out;
     std::optional<InsideBall> in;
+    Hits before, after;
   };
   double cost_of(float gap) const { return gap <= low_ ? 0.0 : gap >= high_ ? 1.0 : (double(gap) - low_) * slope_; }
   float gap_of(std::int32_t sample, float distance, float held) const {
@@ -65,18 +74,22 @@ class CoverFit {
   std::optional<InsideBall> ball_at(const Vec3& center, const Closest& found) const;
   std::optional<InsideBall> shot(const Vec3& point, const Vec3& inward, std::int32_t face, double slack,
                                  double start) const;
+  void see_all();
   int take_out(int count, bool useless);
-  void enter(std::int32_t ball);
-  void leave(std::int32_t ball);
-  double gain(const InsideBall& ball, std::int32_t without) const;  // what it would save
-  double loss(std::int32_t ball) const;
+  // The samples whose gap to the ball is less than what is kept, in their order.
+  void reach(const InsideBall& ball, Hits& hits, std::int32_t part = 0) const;
+  void enter(std::int32_t ball, const Hits& hits);
+  void leave(std::int32_t ball, const Hits& hits);
+  double gain(const Hits& hits, std::int32_t without) const;  // what a ball with these would save
+  double loss(std::int32_t ball, const Hits& hits) const;
   std::vector<double> losses() const;
-  Vec3 pull(std::int32_t ball) const;
+  Vec3 pull(std::int32_t ball, const Hits& hits) const;
   std::optional<InsideBall> moved(const InsideBall& ball, const Vec3& shift, Random& random) const;
-  std::optional<InsideBall> walk(std::int32_t ball, double step, int moves, double temperature, Random random) const;
-  std::optional<InsideBall> best_at(std::size_t sample, int candidates, Random& random) const;
+  void walk(Move& move, double step, int moves, double temperature, Random random) const;
+  void find_best(Move& move, std::size_t sample, int candidates, Random& random) const;
   std::vector<std::int32_t> bare() const;
-  void in_parallel(std::size_t count, const std::function<void(std::size_t)>& work) const;
+  // work(run, first, last) for each of a few runs of the samples, whose number is the same for any number of threads.
+  void in_runs(const std::function<void(std::size_t, std::size_t, std::size_t)>& work) const;
 
   const TriangleTree& tree_;
   std::vector<Zone> zones_;
@@ -87,8 +100,10 @@ class CoverFit {
   std::vector<InsideBall> balls_;
   std::size_t fixed_ = 0;
   std::vector<Seen> seen_;
+  std::vector<float> complete_;  // of each sample: every ball with a gap below this stands in its list
   int threads_;
   double low_ = 0, high_ = 0, slope_ = 0, budget_ = 0;
+  double kept_ = 0;  // gaps up to this stand in lists: a little more than the high end, which moves
   float excess_ = 0;
   Random random_;
 };

@@ -9,6 +9,7 @@
 
 #include "bound_tree.h"
 #include "cover_fit.h"
+#include "parallel.h"
 #include "sphere_union.h"
 
 namespace nb = nanobind;
@@ -53,7 +54,7 @@ SphereUnion make_union(const Rows4& spheres) {
   std::vector<Ball> balls(spheres.shape(0));
   for (std::size_t k = 0; k < balls.size(); ++k)
     balls[k] = {Vec3(spheres(k, 0), spheres(k, 1), spheres(k, 2)), spheres(k, 3)};
-  return SphereUnion(std::move(balls));
+  return SphereUnion(std::move(balls), processors());
 }
 
 nb::tuple to_tuple(const std::vector<NearBall>& found) {

@@ -121,7 +121,7 @@ def row(name, mode, error_mm, seed):
             mesh.vertices_m, mesh.faces, error_m=error_mm * 1e-3, spheres=None, mode=mode, seed=seed
         )
     except PalmarError as error:
-        return True, f"{how}; {error}"
+        return error.code != "E-MESH-MISSING", f"{how}; {error}"
     seconds = time.process_time() - started
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
     found = measure(mesh, mode, levels[-1], parameters, error_mm * 1e-3, seed)
@@ -140,6 +140,7 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     shared = sorted([*(DATA / "spheres_objects").glob("*.obj"), *(DATA / "meshes").glob("*.*")])
+    shared = [path for path in shared if path.suffix != ".json"]
     names = given.meshes or [*map(str, shared), *made_meshes()]
     context = multiprocessing.get_context("spawn")
     failed = 0

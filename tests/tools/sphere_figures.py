@@ -118,7 +118,9 @@ def main():
     head = None
     for name in given.objects or AIMS:
         places = (Path(name), DATA / "spheres_objects" / f"{name}.obj", DATA / "meshes" / f"{name}.obj")
-        path = next(place for place in places if place.is_file())
+        path = next((place for place in places if place.is_file()), None)
+        if path is None:
+            parser.error(f"{name}: no mesh file of that name, nor in {DATA}")
         aims = AIMS.get(name)
         count = aims[1] if given.fine else given.spheres or 500
         aim = None if aims is None or given.mode != "balanced" else aims[2] if given.fine else aims[0]

@@ -81,6 +81,33 @@ def test_skin_in_a_seam_is_out_of_a_probes_reach():
     assert np.linalg.norm(probe - spheres[1 - owner, :3], axis=1).min() >= 0.022 * (1 - 1e-8)
 
 
+@pytest.mark.parametrize("offset", [0.0, 0.002])
+def test_skin_is_all_that_no_other_sphere_hides(offset):
+    # More spheres around each than are looked at for what hides a patch whole, small ones in large ones, two equal.
+    spheres = random_spheres(200, 5)
+    spheres[::7, 3] *= 0.1
+    spheres[1] = spheres[0]
+    owner, direction, angle = exposed_skin(spheres, offset, 1e-3, 0)
+    reach = spheres[:, 3] + offset
+
+    def hidden(points, of):
+        squared = ((points[:, None] - spheres[None, :, :3]) ** 2).sum(axis=2)
+        least = np.maximum(reach - 1e-9 * reach.max(), 0) ** 2
+        squared[np.arange(len(points)), of] = np.inf
+        return (squared < least).any(axis=1)
+
+    assert not hidden(spheres[owner, :3] + reach[owner, None] * direction, owner).any()
+    # The area of each sphere's own skin, by 500 random directions.
+    way = np.random.default_rng(1).normal(size=(500, 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    bare = [1 - hidden(spheres[k, :3] + reach[k] * way, np.full(500, k)).mean() for k in range(len(spheres))]
+    area = 4 * np.pi * reach**2
+    found = np.bincount(owner, angle, minlength=len(spheres)) * reach**2
+    # Both are samples, of 500 directions and one in each square of 1.4 mm: 3 standard deviations of the difference.
+    spread = area**2 * np.multiply(bare, 1 - np.array(bare)) * (1 / 500 + 1 / np.maximum(area / 2e-6, 6))
+    assert abs(found.sum() - (area * bare).sum()) < 3 * np.sqrt(spread.sum())
+
+
 def test_samples_are_even_by_area():
     # Two faces of a stretched box hold their share of the samples to within a few.
     vertices, faces = SHAPES["cube"]()
