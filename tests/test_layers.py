@@ -16,7 +16,7 @@ LAYERS = [
     "random triangle_tree point_tree sphere_tree hand schemas mcap_reader mcap_writer",
     "bound_tree inside_ball sphere_union object gap qp pack_file resample channels",
     "contacts cover_fit curvature metric trace_file run_file",
-    "force filter release search",
+    "force filter recorder release search",
     "solver",
     "baseline round",
     "bend solve_.*",
