@@ -57,7 +57,8 @@ Header header_from(const palmar_recording& in) {
   if (in.object) header["object"] = in.object;
   if (in.rate_hz != 0) {
     if (!(in.rate_hz > 0 && in.rate_hz <= 1e6))
-      throw Error("E-CONF-VALUE", "rate_hz", std::to_string(in.rate_hz) + "; above 0 to 1e6, or 0 for none, is allowed");
+      throw Error("E-CONF-VALUE", "rate_hz",
+                  std::to_string(in.rate_hz) + "; above 0 to 1e6, or 0 for none, is allowed");
     char digits[32];
     std::snprintf(digits, sizeof digits, "%.9g", in.rate_hz);
     header["rate_hz"] = digits;
@@ -144,7 +145,8 @@ palmar_code palmar_recorder_open(const char* path, const palmar_recording* recor
                                  char* message, size_t message_size) {
   if (recorder) *recorder = nullptr;
   if (!path || !recorder || !recording || recording->size != sizeof *recording) {
-    say(message, message_size, "E-CONF-VALUE path, recording, recorder: a null pointer or another size; all are needed");
+    say(message, message_size,
+        "E-CONF-VALUE path, recording, recorder: a null pointer or another size; all are needed");
     return PALMAR_BAD_INPUT;
   }
   if (!recording->device || !recording->hand || !recording->side) {

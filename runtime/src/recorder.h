@@ -22,11 +22,11 @@ class Recorder {
     kNoRoom,    // the ring is full, or the disk has failed
   };
   struct Counts {
-    std::uint64_t taken = 0;     // by append
-    std::uint64_t written = 0;   // of those: with the system, so that they survive the death of this process
-    std::uint64_t dropped = 0;   // kNoRoom
-    std::uint64_t refused = 0;   // kUnusable
-    bool failed = false;         // the disk does not take more; close() says why
+    std::uint64_t taken = 0;    // by append
+    std::uint64_t written = 0;  // of those: with the system, so that they survive the death of this process
+    std::uint64_t dropped = 0;  // kNoRoom
+    std::uint64_t refused = 0;  // kUnusable
+    bool failed = false;        // the disk does not take more; close() says why
   };
 
   // Throws Error: E-TRACE-EXISTS (a recording is never written over), E-TRACE-WRITE, E-TRACE-HEADER, E-CONF-VALUE.

@@ -37,7 +37,7 @@ struct Seen {
 thread_local bool watched = false;
 Seen* seen = nullptr;  // shared with the parent process
 
-void count(long Seen::*what) {
+void count(long Seen::* what) {
   if (watched) ++(seen->*what);
 }
 
@@ -113,7 +113,7 @@ void caught(int, siginfo_t* info, void*) {
 
 // From here on each system call of this thread raises a signal instead; but the return from its handler, and the end.
 bool forbid_system_calls() {
-  struct sigaction action {};
+  struct sigaction action{};
   action.sa_sigaction = caught;
   action.sa_flags = SA_SIGINFO;
   sigaction(SIGSYS, &action, nullptr);
@@ -206,8 +206,7 @@ void nothing_is_called(const char* solver, const char* object, long steps) {
 
 int main(int argc, char** argv) {
   const long steps = argc > 1 ? std::atol(argv[1]) : 20000;
-  seen = static_cast<Seen*>(
-      mmap(nullptr, sizeof(Seen), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0));
+  seen = static_cast<Seen*>(mmap(nullptr, sizeof(Seen), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0));
   the_trap_catches();
   for (const SolverRow& solver : SOLVERS) {
     const bool product = std::strcmp(solver.name, "progressive") == 0;

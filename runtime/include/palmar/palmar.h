@@ -4,10 +4,10 @@
  * index, middle, ring, little; joints from the palm outwards (MCP, PIP, DIP). A link is 0 for the palm, 1 + 3 finger +
  * phalanx else.
  *
- * A sample, a result, a recording and its counts begin with their own size in bytes: set it to sizeof(the struct), and a
- * host built against another header is refused instead of misread. Functions that can fail return a palmar_code and write one line for a
- * person into `message`.
- * One session belongs to one thread at a time; different sessions are independent. */
+ * A sample, a result, a recording and its counts begin with their own size in bytes: set it to sizeof(the struct), and
+ * a host built against another header is refused instead of misread. Functions that can fail return a palmar_code and
+ * write one line for a person into `message`. One session belongs to one thread at a time; different sessions are
+ * independent. */
 #ifndef PALMAR_H
 #define PALMAR_H
 
