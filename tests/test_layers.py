@@ -12,6 +12,7 @@ STAGES = ("tools", "traces", "eval")
 KNOW_ALL = ("cli_make", "cli_trace", "cli_judge", "calibrate", "importing", "demo", "check")
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [
+    "utf8",
     "error records algebra crc32 cdr mcap wide",
     "random triangle_tree point_tree sphere_tree hand schemas mcap_reader mcap_writer",
     "bound_tree inside_ball sphere_union object gap qp pack_file resample channels",

@@ -46,9 +46,6 @@ inline constexpr std::size_t kMetadataLimit = 1 << 20;
 
 std::string metadata_crc(const std::string& name, const std::map<std::string, std::string>& values);
 
-// The format's texts are UTF-8; a Metadata record that is not is taken for damaged.
-bool is_utf8(std::string_view text);
-
 using Bytes = std::span<const std::uint8_t>;
 
 // Reads forward in `bytes`. Past the end it gives zeros and empty spans and `ok` stays false.

@@ -6,6 +6,7 @@
 
 #include "crc32.h"
 #include "error.h"
+#include "utf8.h"
 
 namespace palmar {
 
