@@ -103,16 +103,10 @@ def flipped(raw: bytearray, at: int) -> bytearray:
 SHORT = bad_trace(lambda raw: raw[: len(raw) * 6 // 10])
 FLIPPED = bad_trace(lambda raw: flipped(raw, len(raw) // 2))
 FLIPPED_PACK = damaged_pack(lambda raw: flipped(raw, -9))
-NEWER = bad_trace(lambda raw: unsealed(raw, b"palmar.trace/1", b"palmar.trace/7"))
 NAN = float("nan")
 
 
-def unsealed(raw: bytearray, old: bytes, new: bytes) -> bytes:
-    """Another value in the header of a trace, without the CRC that would say so."""
-    return raw.replace(old, new).replace(b"crc32", b"crc33")
-
-
-def foreign_trace(schema: str = "", **values: object) -> Callable[[Path], object]:
+def foreign_trace(schema: str = "", version: str = "palmar.trace/1", **values: object) -> Callable[[Path], object]:
     """A trace that another program wrote by the book, with values that no trace may have."""
 
     def make(folder: Path) -> None:
@@ -125,7 +119,8 @@ def foreign_trace(schema: str = "", **values: object) -> Callable[[Path], object
             reader = make_reader(stream, decoder_factories=[DecoderFactory()])
             with Writer(out, compression=CompressionType.NONE) as writer:
                 (metadata,) = reader.iter_metadata()
-                writer.add_metadata("palmar.trace", {k: v for k, v in metadata.metadata.items() if k != "crc32"})
+                header = {k: v for k, v in metadata.metadata.items() if k != "crc32"}
+                writer.add_metadata("palmar.trace", header | {"schema": version})
                 kind = None
                 for k, (known, _, message, decoded) in enumerate(reader.iter_decoded_messages()):
                     kind = kind or writer.register_msgdef(known.name, schema or known.data.decode())
@@ -199,7 +194,7 @@ CASES = [
         REPLAY,
         "E-TRACE-CRC",
     ),
-    Case("R3 trace of a newer version", NEWER, REPLAY, "E-TRACE-"),
+    Case("R3 trace of a newer version", foreign_trace(version="palmar.trace/7"), REPLAY, "E-TRACE-SCHEMA"),
     Case("R3 a run where a trace belongs", run_for_trace, REPLAY, "E-TRACE-SCHEMA"),
     Case(
         "R3 samples with other fields",

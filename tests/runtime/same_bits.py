@@ -37,9 +37,7 @@ def main(folder: Path) -> int:
     for compiler in COMPILERS:
         for flags in (*FLAGS, *SETS):
             program = build(compiler, flags, folder / f"{compiler} {flags}".replace(" ", "_"))
-            runs = {
-                subprocess.run([program, "dispatched"], capture_output=True, check=True).stdout for _ in range(3)
-            }
+            runs = {subprocess.run([program, "dispatched"], capture_output=True, check=True).stdout for _ in range(3)}
             digests = sorted(hashlib.sha256(output).hexdigest()[:16] for output in runs)
             said[compiler, flags] = digests
             print(f"{compiler} {flags}: {' '.join(digests)}", flush=True)
