@@ -22,7 +22,8 @@ def build(compiler: str, flags: str, folder: Path) -> Path:
     environment = os.environ | {"PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"}
     configure = [
         *(BIN / "cmake", "-S", TOP / "runtime", "-B", folder, "-G", "Ninja", "-DPALMAR_TESTS=ON"),
-        *(f"-DCMAKE_CXX_COMPILER={compiler}", f"-DCMAKE_CXX_FLAGS_RELEASE={flags}", "-DCMAKE_BUILD_TYPE=Release"),
+        *(f"-DCMAKE_CXX_COMPILER={compiler}", f"-DCMAKE_CXX_FLAGS={flags}"),
+        "-DCMAKE_BUILD_TYPE=Plain",  # no flags but these
         f"-DPython_EXECUTABLE={sys.executable}",
     ]
     for command in (configure, [BIN / "cmake", "--build", folder, "--target", "hash_step_dispatched"]):
