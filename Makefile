@@ -1,4 +1,4 @@
-# Two commands: `make demo` and `make test`; `make bench` and `make fuzz` measure. Each sets up all that it needs, in .venv and build/,
+# Two commands: `make demo` and `make test`; `make bench`, `make fuzz` and `make fuzz-readers` measure. Each sets up all that it needs, in .venv and build/,
 # with nothing on the machine but Python 3.11 (with its headers), make and a C++20 compiler. `make PYTHON=python3.12 test` takes
 # another Python.
 
@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 CORE := $(wildcard runtime/CMakeLists.txt runtime/*.in runtime/src/* runtime/include/palmar/*)
 MODULES := $(sort $(wildcard runtime/palmar/*.py tools/*.py traces/*.py eval/*.py))
 
-.PHONY: demo test fuzz bench programs lint format clean names
+.PHONY: demo test fuzz fuzz-readers bench programs lint format clean names
 
 demo: .venv/installed
 	@echo "== demo: built-in objects, a scripted grasp, replay, report"
@@ -28,6 +28,16 @@ FUZZ ?= --steps 1000000
 fuzz: programs
 	@build/tests/fuzz_step $(FUZZ)
 
+# The readers under clang's fuzzer (apt: clang-19 libclang-rt-19-dev), SECONDS each; what it finds stays in build/fuzz/NAME.
+SECONDS ?= 60
+FUZZERS := trace pack cdr settings
+fuzz-readers: .venv/installed
+	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/fuzz -G Ninja -DCMAKE_CXX_COMPILER=clang++-19 -DPALMAR_TESTS=ON -DPALMAR_SANITIZE=fuzz \
+	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
+	@$(BIN)/cmake --build build/fuzz --target $(addprefix fuzz_,$(FUZZERS)) -- --quiet
+	@for name in $(FUZZERS); do mkdir -p build/fuzz/$$name && build/fuzz/fuzz_$$name -max_total_time=$(SECONDS) -max_len=11000 -rss_limit_mb=2048 \
+	  -print_final_stats=1 -artifact_prefix=build/fuzz/$$name- build/fuzz/$$name tests/fuzz/saved/$$name || exit 1; done
+
 # What a step costs. `make bench BENCH='--scene ears --set iterations=2'`; more arguments stand at the top of its source.
 BENCH ?=
 bench: programs
@@ -42,13 +52,13 @@ programs: .venv/installed
 lint: .venv/linters
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/clang-format --dry-run --Werror $(wildcard runtime/src/*.cpp runtime/src/*.h runtime/include/palmar/*.h tests/runtime/*.cpp tests/runtime/*.h tests/consumer/*.c)
+	$(BIN)/clang-format --dry-run --Werror $(wildcard runtime/src/*.cpp runtime/src/*.h runtime/include/palmar/*.h tests/runtime/*.cpp tests/runtime/*.h tests/consumer/*.c tests/fuzz/*.cpp tests/fuzz/*.h)
 	$(BIN)/mypy
 
 format: .venv/linters
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
-	$(BIN)/clang-format -i $(wildcard runtime/src/*.cpp runtime/src/*.h runtime/include/palmar/*.h tests/runtime/*.cpp tests/runtime/*.h tests/consumer/*.c)
+	$(BIN)/clang-format -i $(wildcard runtime/src/*.cpp runtime/src/*.h runtime/include/palmar/*.h tests/runtime/*.cpp tests/runtime/*.h tests/consumer/*.c tests/fuzz/*.cpp tests/fuzz/*.h)
 
 clean:
 	rm -rf .venv build demo

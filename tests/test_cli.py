@@ -9,7 +9,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from palmar import cli
+from palmar import _runtime, cli
+from palmar.files import sha256_of
 from palmar.model import load_pack
 from palmar.records import Trace, read_run, read_trace, write_trace
 
@@ -115,6 +116,33 @@ def test_a_damaged_trace_is_replayed_only_when_its_loss_is_accepted(run, files, 
     assert run("show", cut)[0] == 3
     assert run("export", cut, "-o", "x")[0] == 3
     assert len((tmp_path / "x" / "cut.samples.csv").read_text().splitlines()) == left + 1
+
+
+def test_a_run_is_verified_step_by_step(run, files, tmp_path):
+    pack, trace = files / "cube.pack", files / "whole.mcap"
+    assert run("replay", pack, trace, "-o", "x.run.mcap", "--set", "rate_hz=500", "--set", "fade_s=0.2")[0] == 0
+    verify = ("replay", pack, trace, "--verify", "x.run.mcap")
+    code, out, errors = run(*verify)
+    assert (code, out, errors) == (0, "x.run.mcap: all 1500 steps are the same, bit for bit\n", [])
+    assert [path.name for path in tmp_path.iterdir()] == ["x.run.mcap"]
+
+    # A run of another hand that claims to be of this trace: 1 nm higher from sample 1000 on, which is step 500.
+    samples = read_trace(trace)
+    samples.palm_position_m[1000:, 2] += 1e-9
+    write_trace(tmp_path / "other.mcap", samples)
+    claims = {"pack_sha256": sha256_of(pack), "trace_sha256": sha256_of(trace)}
+    arguments = [str(pack), *(str(tmp_path / name) for name in ("other.mcap", "x.run.mcap"))]
+    _runtime.replay(*arguments, "", {"rate_hz": 500.0, "fade_s": 0.2}, claims)
+    code, out, (line,) = run(*verify)
+    assert (code, out) == (1, "")
+    assert line.startswith("E-VERIFY x.run.mcap:step 500: at 1 s the first that differs, in palm_position_m, ")
+    assert "1000 of 1500 steps differ, palms by 1e-06 mm at most" in line
+    code, out, _ = run(*verify, "--json")
+    assert code == 1 and json.loads(out)["first"]["step"] == 500
+
+    code, _, (line,) = run("replay", pack, tmp_path / "other.mcap", "--verify", "x.run.mcap")
+    assert code == 2 and line.startswith("E-TRACE-HASH")
+    assert run(*verify, "--set", "rate_hz=90")[0] == 2
 
 
 def test_json_is_one_object_on_stdout_and_stderr_stays_empty(run, files, tmp_path):

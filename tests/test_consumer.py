@@ -1,14 +1,20 @@
 """The core as outside projects see it: installed with CMake alone, stepped from C, loaded by ctypes."""
 
 import os
+import random
 import re
 import subprocess
 import sys
+import time
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from palmar import _runtime
+from palmar.errors import BadTrace
 
 TOP = Path(__file__).resolve().parents[1]
 CORE = TOP / "build" / "tests"  # `make test` configures and builds it, without Python
@@ -75,10 +81,84 @@ def test_a_host_gets_one_line_for_a_pack_that_is_not_there(installed):
     assert len(said) == 2
 
 
+def frames(columns: dict[str, np.ndarray]) -> np.ndarray:
+    """Which frames of the recording hosts the samples are, each checked against what those hosts send."""
+    numbers = np.round(columns["time_s"] * 1000).astype(int)
+    assert np.array_equal(columns["time_s"], 0.001 * numbers)
+    assert np.array_equal(columns["palm_position_m"][:, 2], 1e-6 * numbers)
+    assert (columns["flexion_rad"] == (1e-3 * (numbers % 1000))[:, None, None]).all()
+    assert columns["tracked"].all()
+    return numbers
+
+
+@needs_core
+def test_a_c_host_and_a_ctypes_host_record_the_same_trace(installed, tmp_path):
+    library = next((installed / "prefix").rglob("libpalmar.so"))
+    said = said_by(installed / "build" / "record", tmp_path / "c.mcap", 300)
+    assert said[-1] == "300 written, 0 dropped, 0 refused"
+    said = said_by(sys.executable, CONSUMER / "record.py", library, tmp_path / "py.mcap", 300)
+    assert said[-1].strip() == "300 written, 0 dropped, 0 refused"
+    (header, columns, lost), (other_header, other_columns, _) = (
+        _runtime.read_trace(str(tmp_path / name)) for name in ("c.mcap", "py.mcap")
+    )
+    assert not any(lost.values())
+    assert header == other_header
+    assert header["rate_hz"] == "1000" and header["device"] == "example"
+    assert frames(columns).tolist() == list(range(300))
+    for name, values in columns.items():
+        assert np.array_equal(values, other_columns[name]), name
+
+
+@needs_core
+def test_a_recording_is_never_written_over(installed, tmp_path):
+    path = tmp_path / "r.mcap"
+    path.write_bytes(b"precious")
+    (line,) = said_by(installed / "build" / "record", path, 10)
+    assert line.startswith(f"E-TRACE-EXISTS {path}: ")
+    assert path.read_bytes() == b"precious"
+
+
+def killed_after(host: Path, path: Path, seconds: float) -> tuple[int, int, int]:
+    """(taken, written, read back) of a recording host that is killed at a moment of its own."""
+    process = subprocess.Popen([host, path], stdout=subprocess.PIPE, text=True)
+    process.stdout.readline()  # it runs
+    time.sleep(seconds)
+    process.kill()
+    # The last whole line that it could say before its end.
+    taken, written = 10, 0
+    for line in process.communicate()[0].splitlines():
+        if found := re.fullmatch(r"(\d+) taken, (\d+) written", line):
+            taken, written = map(int, found.groups())
+    try:
+        _, columns, lost = _runtime.read_trace(str(path))
+    except BadTrace as error:
+        assert error.code == "E-TRACE-EMPTY"
+        return taken, written, 0
+    assert lost["unclosed"] == 1
+    numbers = frames(columns)
+    assert numbers.tolist() == list(range(len(numbers)))
+    return taken, written, len(numbers)
+
+
+@needs_core
+def test_all_that_a_killed_host_had_written_reads_back(installed, tmp_path, request):
+    kills = request.config.getoption("--host-kills")
+    moments = random.Random()
+    losses = []
+    for k in range(kills):
+        moment = moments.uniform(0, 0.8)
+        taken, written, read = killed_after(installed / "build" / "record", tmp_path / f"{k}.mcap", moment)
+        assert read >= written, f"killed after {moment:.3f} s"
+        losses.append(taken - read)  # of one frame a millisecond
+    print(f"\n{kills} kills: {max(losses)} ms of samples lost at most, {sum(losses) / kills:.0f} on average")
+    if kills >= 100:  # a measurement: the disk and the machine have their part in it
+        assert max(losses) <= 250
+
+
 def test_the_code_that_the_host_page_shows_is_that_of_the_tested_hosts():
     page = (TOP / "docs" / "host.md").read_text()
-    hosts = (CONSUMER / "main.c").read_text() + (CONSUMER / "host.py").read_text()
+    hosts = "".join((CONSUMER / name).read_text() for name in ("main.c", "record.c", "host.py"))
     blocks = re.findall(r"```(?:c|python)\n(.*?)```", page, re.DOTALL)
-    assert len(blocks) >= 2
+    assert len(blocks) >= 3
     for block in blocks:
         assert block in hosts, block

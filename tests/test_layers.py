@@ -15,11 +15,12 @@ KNOW_ALL = (
 )
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [
+    "utf8",
     "error records algebra crc32 cdr mcap wide parallel",
     "random triangle_tree point_tree sphere_tree hand schemas mcap_reader mcap_writer",
     "bound_tree inside_ball sphere_union object gap qp pack_file resample channels",
     "contacts cover_fit curvature device_recording metric trace_file run_file",
-    "cover_moves force filter release search",
+    "cover_moves force filter recorder release search",
     "solver",
     "baseline round",
     "bend solve_.*",

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmar.errors import BadMesh
+from palmar.tools.apart import read_apart
 from palmar.tools.mesh_files import CHECKS, count_triangles
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
@@ -23,11 +24,14 @@ SMALLEST_M, LARGEST_M = 0.001, 2.0
 # Without a unit, metres are believed only where the object is then of a size that a hand holds.
 BELIEVED_M = (0.01, 1.0)
 MAX_BYTES = 512 * 2**20
+# A reader may take this much beside what it reads, and so many times that: a text of 100 MB becomes Python's objects.
+READER_BYTES, READER_SHARE = 2**30, 20
+READER_CPU_S, READER_BYTES_A_SECOND = 60, 10**6
 MAX_RATIO = 100  # unpacked to packed, above 16 MiB
 
 # Readers fail in as many ways as files are broken; each of these becomes one E-MESH-FORMAT.
 READER_FAILURES: tuple[type[Exception], ...] = (
-    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, NameError),
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, NameError),
     *(NotImplementedError, RuntimeError, TypeError, ValueError, ImportError, struct.error),
 )
 
@@ -131,6 +135,7 @@ def _unpack(where: str, raw: bytes) -> bytes:
 
 
 def _read_triangles(where: str, extension: str, content: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """What the format's reader makes of the content, in a process of its own."""
     import trimesh
 
     if extension in ("obj", "off") or b"\0" not in content:
@@ -139,12 +144,22 @@ def _read_triangles(where: str, extension: str, content: bytes) -> tuple[NDArray
     options: dict[str, Any] = (
         {"split_object": False, "group_material": False, "skip_materials": True} if extension == "obj" else {}
     )
-    try:
-        scene = trimesh.load_scene(io.BytesIO(content), file_type=extension, process=False, resolver=None, **options)
-        mesh = scene.to_mesh()
-    except READER_FAILURES as error:
-        raise BadMesh("E-MESH-FORMAT", where, f"the {extension.upper()} reader gave up ({error})") from None
-    return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64)
+
+    def read() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        stream = io.BytesIO(content)
+        try:
+            mesh = trimesh.load_scene(stream, file_type=extension, process=False, resolver=None, **options).to_mesh()
+        except READER_FAILURES as error:
+            raise BadMesh("E-MESH-FORMAT", where, f"the {extension.upper()} reader gave up ({error})") from None
+        return np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64)
+
+    points, corners = read_apart(
+        where,
+        read,
+        memory_bytes=READER_BYTES + READER_SHARE * len(content),
+        cpu_s=READER_CPU_S + len(content) // READER_BYTES_A_SECOND,
+    )
+    return points, corners
 
 
 def _choose_scale(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from palmar.errors import BadMesh, BadPack, PalmarError
 from palmar.files import sha256_of
 from palmar.model import AssetPack, HandModel, SphereTree, save_pack
+from palmar.pack_check import MAX_NAME, is_object_name
 from palmar.profile import fit_to_profile
 from palmar.tools.close import close_mesh, require_closed
 from palmar.tools.cover import level_errors
@@ -32,7 +33,6 @@ Progress = Callable[[str, float], None]
 
 DEFAULT_ERROR_MM = 0.5
 SHAPE = "shape:"
-MAX_NAME = 100
 OBJECT_KEYS = (
     *("name", "mesh", "units", "size_mm", "close", "error_mm", "spheres", "mode", "spheres_csv", "csv_units"),
     *("region", "touched", "touched_share"),
@@ -291,7 +291,7 @@ def _check_source(source: Source) -> None:
     if source.mode not in MODES:
         raise PalmarError("E-CONF", "--mode", f"{source.mode!r}; one of {', '.join(MODES)} is needed")
     name = source.name
-    if not name or "/" in name or not name.isprintable() or len(name.encode()) > MAX_NAME:
+    if not is_object_name(name):
         raise PalmarError(
             "E-CONF", f"name {name[:40]!r}", f"1 to {MAX_NAME} bytes that can be printed, no /, are needed"
         )

@@ -60,6 +60,8 @@ def parse_pairs(flag: str, pairs: list[str]) -> dict[str, bool | int | float | s
         key, equals, text = pair.partition("=")
         if not equals:
             raise PalmarError("E-USAGE", flag, f"{pair!r}; key=value is needed")
+        if key in values:
+            raise PalmarError("E-USAGE", flag, f"{key} is given twice; once is allowed")
         values[key] = text
         if text in ("true", "false"):
             values[key] = text == "true"

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from palmar.cli_app import LOSS, Json, Object, OutFile, OutFolder, app, complain, parse_pairs
+from palmar.cli_app import FAILED, LOSS, Json, Object, OutFolder, app, complain, parse_pairs
+from palmar.errors import PalmarError
 
 
 @app.command()
@@ -14,7 +15,10 @@ def replay(
     pack: Annotated[Path, typer.Argument(help="Pack with the hand and the object.")],
     trace: Annotated[Path, typer.Argument(help="Trace of the haptic hand.")],
     *,
-    out: OutFile,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Run to write.")] = None,
+    verify: Annotated[
+        Path | None, typer.Option(help="Run to compare with, step by step; solver, settings and object are its own.")
+    ] = None,
     name: Object = "",
     solver: Annotated[str, typer.Option(help="Name of the solver.")] = "progressive",
     resample: Annotated[str, typer.Option(help="Samples onto the steps: pchip, linear or hold.")] = "pchip",
@@ -25,15 +29,24 @@ def replay(
     accept_loss: Annotated[bool, typer.Option("--accept-loss", help="Replay what is left of a damaged trace.")] = False,
     json: Json = False,
 ) -> int:
-    """Pack + trace -> run. A damaged trace is refused unless its loss is accepted; the exit code is 3 either way."""
+    """Pack + trace -> run. A damaged trace is refused unless its loss is accepted; the exit code is 3 either way.
+
+    With --verify nothing is written: the exit code is 1 if any step of that run differs from what comes out now.
+    """
     from palmar.files import lost_line, require_file, require_place
     from palmar.records import read_trace
     from palmar.replay import hand_warning, object_of, replay_file
     from palmar.show import print_replay
     from palmar.terminal import print_json, progress_bar
 
+    if verify is not None:
+        if out or name or setting or level is not None or (solver, resample) != ("progressive", "pchip"):
+            raise PalmarError("E-USAGE", "--verify", "solver, settings and object are those of the run; give no others")
+        return _verify(require_file(verify), require_file(pack), require_file(trace), json)
+    if out is None:
+        raise PalmarError("E-USAGE", "palmar replay", "no --out (-o); the name of the run is needed, or --verify RUN")
     named = [f"solver={solver}", f"resample={resample}", *([f"level={level}"] if level is not None else [])]
-    settings = parse_pairs("--set", [*named, *(setting or [])])
+    settings = parse_pairs("--set", named) | parse_pairs("--set", setting or [])
     require_file(pack)
     require_place(out)
     samples = read_trace(require_file(trace))
@@ -47,6 +60,22 @@ def replay(
         name = name or object_of(samples, pack)
         answer = replay_file(pack, trace, out, object_name=name, settings=settings, progress=progress)
     print_json(answer) if json else print_replay(answer)
+    return complain(damage, LOSS) if damage else 0
+
+
+def _verify(run: Path, pack: Path, trace: Path, json: bool) -> int:
+    from palmar.files import lost_line
+    from palmar.terminal import print_json
+    from palmar.verify import differing_line, verify_run
+
+    answer = verify_run(run, pack, trace)
+    differing, damage = differing_line(answer), lost_line(run, answer["lost"])
+    if json:
+        print_json(answer)
+    elif not differing:
+        print(f"{run}: all {answer['steps']} steps are the same, bit for bit")
+    if differing:
+        return complain(differing, FAILED)
     return complain(damage, LOSS) if damage else 0
 
 

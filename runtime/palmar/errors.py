@@ -4,6 +4,11 @@ A hard moment in a step is not an error; it is the step's status (see `palmar.re
 """
 
 
+def one_line(text: str) -> str:
+    """The text with all that cannot be printed written out, so that no file can break a line or steer a terminal."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 class PalmarError(Exception):
     """Bad input from outside. `str()` is the line to show: `E-CODE where: what was found, what is allowed`.
 
@@ -13,7 +18,7 @@ class PalmarError(Exception):
     exit_code = 2
 
     def __init__(self, code: str, where: str, message: str) -> None:
-        super().__init__(f"{code} {where}: {message}")
+        super().__init__(one_line(f"{code} {where}: {message}"))
         self.code = code
         self.where = where
         self.message = message

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import tempfile
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palmar.errors import BadPack
-from palmar.skin import LINKS, HandMesh
+from palmar.pack_check import HAND_MESH, HAND_SHAPES, PACK_SCHEMA, check_pack
+from palmar.skin import HandMesh
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 JOINTS = ("MCP", "PIP", "DIP")
-PACK_SCHEMA = "palmar.pack/2"
 
 Array = NDArray[np.float64]
 
@@ -49,33 +50,6 @@ class HandModel:
     flexion_coupling: Array = field(default_factory=default_coupling)  # (5, 2), see palmar.coupling
     about: dict[str, Any] = field(default_factory=dict)  # name, side, source, sha256
     mesh: HandMesh | None = None  # the surface that it was fitted to; it follows joints and axes of this hand only
-
-
-HAND_SHAPES: dict[str, tuple[int | None, ...]] = {
-    "palm_spheres_m": (None, 4),
-    "joint_m": (5, 3, 3),
-    "flexion_axis": (5, 3, 3),
-    "abduction_axis": (5, 3),
-    "phalanx_m": (5, 3, 2, 3),
-    "phalanx_radius_m": (5, 3, 2),
-    "flexion_limit_rad": (5, 3, 2),
-    "abduction_limit_rad": (5, 2),
-    "joint_stiffness_n_m_per_rad": (5, 3),
-    "palm_stiffness_n_per_m": (1,),
-    "palm_rotation_stiffness_n_m_per_rad": (1,),
-    "flexion_coupling": (5, 2),
-}
-# A hand without a coupling gets the default.
-MAY_BE_MISSING = {"hand/flexion_coupling"}
-
-
-# All of them or none.
-HAND_MESH: dict[str, tuple[tuple[int | None, ...], str]] = {
-    "vertices_m": ((None, 3), "float64"),
-    "faces": ((None, 3), "int32"),
-    "weights": ((None, LINKS), "float64"),
-    "flexion_rad": ((5, 3), "float64"),
-}
 
 
 @dataclass(frozen=True)
@@ -139,8 +113,11 @@ def save_pack(path: str | Path, pack: AssetPack) -> str:
     manifest["schema"] = PACK_SCHEMA
     manifest["hand"] = pack.hand.about
     manifest["objects"] = {name: tree.about for name, tree in pack.objects.items()}
-    _check(str(path), tensors, manifest)
+    check_pack(str(path), tensors, manifest)
+    manifest["crc32"] = "00000000"
     content = save(tensors, {"palmar": json.dumps(manifest, sort_keys=True, allow_nan=False)})
+    at, digits = _crc32_of(content)
+    content = content[:at] + digits + content[at + len(digits) :]
     write_whole(path, content)
     return hashlib.sha256(content).hexdigest()
 
@@ -167,7 +144,11 @@ def load_pack(path: str | Path) -> AssetPack:
         manifest = json.loads(metadata["palmar"])
     except (KeyError, ValueError):
         raise BadPack("E-PACK-FORMAT", where, "no manifest under the metadata key `palmar`") from None
-    _check(where, tensors, manifest)
+    at, digits = _crc32_of(content)
+    if content[at : at + len(digits)] != digits:
+        raise BadPack("E-PACK-CRC", where, "the file is damaged: its bytes do not fit their checksum")
+    check_pack(where, tensors, manifest)
+    manifest.pop("crc32", None)
 
     parts = {name: tensors[f"hand/{name}"] for name in HAND_SHAPES if f"hand/{name}" in tensors}
     mesh = None
@@ -192,6 +173,20 @@ def load_pack(path: str | Path) -> AssetPack:
     return AssetPack(hand, objects, manifest, hashlib.sha256(content).hexdigest())
 
 
+def _crc32_of(content: bytes) -> tuple[int, bytes]:
+    """Where a pack's eight digits of `crc32` stand, and what they must be: the CRC of the file with zeros there.
+
+    Packs of other tools may have none: then no digits.
+    """
+    mark = rb"\"crc32\": \""  # in JSON inside JSON
+    start = content.find(mark, 0, 8 + int.from_bytes(content[:8], "little"))
+    if start < 0:
+        return 0, b""
+    at = start + len(mark)
+    crc = zlib.crc32(content[at + 8 :], zlib.crc32(b"00000000", zlib.crc32(content[:at])))
+    return at, f"{crc:08x}".encode()
+
+
 def write_whole(path: str | Path, content: bytes) -> None:
     """Write a file so that it appears under its name only when it is complete."""
     path = Path(path)
@@ -207,43 +202,3 @@ def write_whole(path: str | Path, content: bytes) -> None:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
-
-
-def _check(where: str, tensors: dict[str, NDArray[Any]], manifest: dict[str, Any]) -> None:
-    """Raise BadPack unless names, shapes and values are what docs/formats.md says."""
-    if manifest.get("schema") != PACK_SCHEMA:
-        raise BadPack("E-PACK-VERSION", where, f"schema {manifest.get('schema')!r}; this version reads {PACK_SCHEMA!r}")
-    expected: dict[str, tuple[tuple[int | None, ...], str]] = {
-        f"hand/{name}": (shape, "float64") for name, shape in HAND_SHAPES.items()
-    }
-    for name, about in manifest["objects"].items():
-        for k in range(len(about["levels"])):
-            expected[f"object/{name}/level_{k}/spheres_m"] = ((None, 4), "float64")
-            expected[f"object/{name}/level_{k}/parent"] = ((None,), "int32")
-            expected[f"object/{name}/level_{k}/bounds_m"] = ((None, 4), "float64")
-            expected[f"object/{name}/level_{k}/bounds_parent"] = ((None,), "int32")
-        expected[f"object/{name}/vertices_m"] = ((None, 3), "float64")
-        expected[f"object/{name}/faces"] = ((None, 3), "int32")
-    for name in MAY_BE_MISSING - tensors.keys():
-        del expected[name]
-    if any(name.startswith("hand/mesh/") for name in tensors):
-        expected |= {f"hand/mesh/{name}": shape_and_type for name, shape_and_type in HAND_MESH.items()}
-    for name in expected.keys() - tensors.keys():
-        raise BadPack("E-PACK-MISSING", f"{where}:{name}", "tensor is not in the file")
-    for name in tensors.keys() - expected.keys():
-        raise BadPack("E-PACK-EXTRA", f"{where}:{name}", "tensor is not part of the format")
-    for name, (shape, dtype) in expected.items():
-        tensor = tensors[name]
-        fits = tensor.ndim == len(shape) and all(
-            want is None or have == want for have, want in zip(tensor.shape, shape, strict=True)
-        )
-        if not fits or tensor.dtype != dtype:
-            raise BadPack(
-                "E-PACK-SHAPE", f"{where}:{name}", f"{tensor.dtype} {tensor.shape}; {dtype} {shape} is needed"
-            )
-        if dtype == "float64" and not np.isfinite(tensor).all():
-            at = np.argwhere(~np.isfinite(tensor))[0]
-            raise BadPack("E-PACK-VALUE", f"{where}:{name}{at.tolist()}", "not a finite number")
-        if name.endswith("spheres_m") and not (tensor[:, 3] > 0).all():
-            at = int(np.argmin(tensor[:, 3]))
-            raise BadPack("E-PACK-VALUE", f"{where}:{name}[{at}]", f"radius {tensor[at, 3]:g} m; radii are above 0")

@@ -4,15 +4,18 @@
 #include <stdexcept>
 #include <string>
 
+#include "utf8.h"
+
 namespace palmar {
 
-// code such as "E-TRACE-CRC"; where: file and place inside it; message: what was found, what is allowed.
+// code such as "E-TRACE-CRC"; where: file and place inside it; message: what was found, what is allowed. All of it text
+// in one line, whatever a file says.
 struct Error : std::runtime_error {
-  Error(std::string code_, std::string where_, std::string message_)
-      : std::runtime_error(code_ + " " + where_ + ": " + message_),
-        code(std::move(code_)),
-        where(std::move(where_)),
-        message(std::move(message_)) {}
+  Error(const std::string& code_, const std::string& where_, const std::string& message_)
+      : std::runtime_error(one_line(code_) + " " + one_line(where_) + ": " + one_line(message_)),
+        code(one_line(code_)),
+        where(one_line(where_)),
+        message(one_line(message_)) {}
   std::string code, where, message;
 };
 

@@ -9,6 +9,7 @@
 
 #include "crc32.h"
 #include "error.h"
+#include "utf8.h"
 
 namespace palmar {
 
@@ -32,29 +33,6 @@ std::vector<std::uint8_t> read_bytes(const std::string& path) {
   bytes.resize(std::fread(bytes.data(), 1, bytes.size(), file));
   std::fclose(file);
   return bytes;
-}
-
-bool is_utf8(std::string_view text) {
-  for (std::size_t i = 0; i < text.size();) {
-    const auto lead = static_cast<std::uint8_t>(text[i]);
-    const std::size_t length = lead < 0x80                   ? 1
-                               : lead >= 0xC2 && lead < 0xE0 ? 2
-                               : lead >= 0xE0 && lead < 0xF0 ? 3
-                               : lead >= 0xF0 && lead < 0xF5 ? 4
-                                                             : 0;
-    if (length == 0 || length > text.size() - i) return false;
-    std::uint32_t code = length == 1 ? lead : lead & (0x7F >> length);
-    for (std::size_t k = 1; k < length; ++k) {
-      const auto next = static_cast<std::uint8_t>(text[i + k]);
-      if ((next & 0xC0) != 0x80) return false;
-      code = code << 6 | (next & 0x3F);
-    }
-    const bool surrogate = code >= 0xD800 && code < 0xE000;
-    const bool too_long = (length == 3 && code < 0x800) || (length == 4 && (code < 0x10000 || code > 0x10FFFF));
-    if (surrogate || too_long) return false;
-    i += length;
-  }
-  return true;
 }
 
 struct Record {
@@ -380,9 +358,11 @@ class Walk {
 
 }  // namespace
 
-McapFile read_mcap(const std::string& path) {
+McapFile read_mcap(const std::string& path) { return mcap_of(read_bytes(path), path); }
+
+McapFile mcap_of(std::vector<std::uint8_t> bytes, const std::string& path) {
   McapFile file;
-  file.bytes = read_bytes(path);
+  file.bytes = std::move(bytes);
   Walk(path, file).run();
   return file;
 }

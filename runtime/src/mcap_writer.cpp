@@ -6,6 +6,7 @@
 
 #include "crc32.h"
 #include "error.h"
+#include "utf8.h"
 
 namespace palmar {
 
@@ -116,15 +117,25 @@ std::uint16_t McapWriter::add_channel(const std::string& topic, const std::strin
   return id;
 }
 
-void McapWriter::add_metadata(const std::string& name, const std::map<std::string, std::string>& values) {
+void McapWriter::check_metadata(const std::string& path, const std::string& name,
+                                const std::map<std::string, std::string>& values) {
   if (values.count(kOwnCrcKey))
-    throw Error("E-TRACE-HEADER", path_ + ":" + name + "." + kOwnCrcKey, "this key is kept for the record's own CRC");
+    throw Error("E-TRACE-HEADER", path + ":" + name + "." + kOwnCrcKey, "this key is kept for the record's own CRC");
+  for (const auto& [key, value] : values)
+    if (!is_utf8(key) || !is_utf8(value))
+      throw Error("E-TRACE-HEADER", path + ":" + name + "." + (is_utf8(key) ? key : "?"),
+                  "is not UTF-8, as every text of a header must be");
+  const std::size_t size = texts_by_name(values).size();
+  if (size > kMetadataLimit - 64)  // the CRC needs some
+    throw Error("E-TRACE-HEADER", path + ":" + name,
+                std::to_string(size) + " bytes; at most " + std::to_string(kMetadataLimit - 64) + " are allowed");
+}
+
+void McapWriter::add_metadata(const std::string& name, const std::map<std::string, std::string>& values) {
+  check_metadata(path_, name, values);
   std::map<std::string, std::string> checked = values;
   checked[kOwnCrcKey] = metadata_crc(name, values);
   const Buffer texts = texts_by_name(checked);
-  if (texts.size() > kMetadataLimit)
-    throw Error("E-TRACE-HEADER", path_ + ":" + name,
-                std::to_string(texts.size()) + " bytes; at most " + std::to_string(kMetadataLimit) + " are allowed");
   finish_chunk();
   Buffer content;
   put_text(content, name);
@@ -213,7 +224,12 @@ void McapWriter::finish_chunk() {
   put_record(chunk_indexes_, kChunkIndex, content);
   ++chunks_;
   chunk_.clear();
-  if (place_ == Place::kInPlace && std::fflush(file_) != 0) fail("cannot be written");
+  if (place_ == Place::kInPlace) flush_file();
+}
+
+void McapWriter::flush() {
+  finish_chunk();
+  flush_file();
 }
 
 void McapWriter::close() {
@@ -285,6 +301,10 @@ void McapWriter::write(Bytes bytes) {
 void McapWriter::write_data(Bytes bytes) {
   data_crc_ = crc32(bytes, data_crc_);
   write(bytes);
+}
+
+void McapWriter::flush_file() {
+  if (std::fflush(file_) != 0) fail("cannot be written");
 }
 
 void McapWriter::abandon() {

@@ -28,12 +28,15 @@ class McapWriter {
 
   // A channel for CDR messages with its `ros2msg` schema; gives its number. All channels come before the first message.
   std::uint16_t add_channel(const std::string& topic, const std::string& schema_name, const std::string& schema_text);
-  // Error E-TRACE-HEADER if the record would be above 1 MiB or uses the key of its own CRC.
+  // Error E-TRACE-HEADER if the record would be above 1 MiB, is not UTF-8, or uses the key of its own CRC.
   void add_metadata(const std::string& name, const std::map<std::string, std::string>& values);
+  // That error alone, before there is a file.
+  static void check_metadata(const std::string& path, const std::string& name,
+                             const std::map<std::string, std::string>& values);
   // Messages of one time always lie in one chunk, so that damage never tears a step from its contacts.
   void add_message(std::uint16_t channel, std::uint64_t log_time_ns, mcap::Bytes payload);
   // Ends the chunk; of a file in its place it is then with the system, and survives the death of this process.
-  void flush() { finish_chunk(); }
+  void flush();
   void close();
 
  private:
@@ -46,6 +49,7 @@ class McapWriter {
   void write(mcap::Bytes bytes);
   void write_data(mcap::Bytes bytes);
   void finish_chunk();
+  void flush_file();
   void abandon();
   [[noreturn]] void fail(const char* what);
 

@@ -1,12 +1,16 @@
 #include "pack_file.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstdio>
 #include <cstring>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <numeric>
+#include <string_view>
 
+#include "crc32.h"
 #include "error.h"
 
 namespace palmar {
@@ -39,18 +43,42 @@ struct File {
   throw Error(code, where, message);
 }
 
-File open_file(const std::string& path) {
-  File file;
-  file.path = path;
+// The manifest's value `crc32` is that of the whole file with its own eight digits as zeros. Packs of other tools may
+// have none.
+void check_crc(const File& file, std::size_t header_end) {
+  constexpr std::string_view kMark = "\\\"crc32\\\": \\\"", kZeros = "00000000";  // in JSON inside JSON
+  const std::span<const std::uint8_t> bytes(file.bytes);
+  const auto header = bytes.first(header_end);
+  const auto mark = std::search(header.begin(), header.end(), kMark.begin(), kMark.end());
+  const auto at = std::size_t(mark - header.begin()) + kMark.size();
+  if (at + kZeros.size() > header_end) return;
+  std::uint32_t crc = crc32(bytes.first(at));
+  crc = crc32({reinterpret_cast<const std::uint8_t*>(kZeros.data()), kZeros.size()}, crc);
+  crc = crc32(bytes.subspan(at + kZeros.size()), crc);
+  char digits[9];
+  std::snprintf(digits, sizeof digits, "%08x", crc);
+  if (!std::equal(digits, digits + 8, bytes.begin() + std::ptrdiff_t(at)))
+    fail("E-PACK-CRC", file.path, "the file is damaged: its bytes do not fit their checksum");
+}
+
+std::vector<unsigned char> read_bytes(const std::string& path) {
   std::ifstream in(path, std::ios::binary | std::ios::ate);
   if (!in) fail("E-PACK-MISSING", path, "cannot be read; a file written by `palmar build` is needed");
   const std::uint64_t size = std::uint64_t(in.tellg());
   if (size > kFileLimit) fail("E-PACK-SIZE", path, std::to_string(size) + " bytes; at most 536870912");
-  file.bytes.resize(size);
+  std::vector<unsigned char> bytes(size);
   in.seekg(0);
-  in.read(reinterpret_cast<char*>(file.bytes.data()), std::streamsize(size));
+  in.read(reinterpret_cast<char*>(bytes.data()), std::streamsize(size));
   if (!in) fail("E-PACK-FORMAT", path, "could not be read to its end");
+  return bytes;
+}
 
+// The tensors and the manifest, by their entries alone.
+File open_file(std::vector<unsigned char> bytes, const std::string& path) {
+  File file;
+  file.path = path;
+  file.bytes = std::move(bytes);
+  const std::uint64_t size = file.bytes.size();
   std::uint64_t header_size = 0;
   if (size >= 8) std::memcpy(&header_size, file.bytes.data(), 8);
   if (size < 8 || header_size > size - 8 || header_size > kHeaderLimit)
@@ -100,6 +128,7 @@ File open_file(const std::string& path) {
     file.tensors.emplace(name, tensor);
   }
   if (!file.manifest.is_object()) fail("E-PACK-FORMAT", path, "no manifest under the metadata key `palmar`");
+  check_crc(file, 8 + header_size);
   const auto named = file.manifest.find("schema");
   const std::string schema = named != file.manifest.end() && named->is_string() ? named->get<std::string>() : "";
   if (schema != "palmar.pack/2")
@@ -197,8 +226,10 @@ HandModel read_hand(const File& file) {
 
 }  // namespace
 
-AssetPack read_pack(const std::string& path) {
-  const File file = open_file(path);
+AssetPack read_pack(const std::string& path) { return pack_of(read_bytes(path), path); }
+
+AssetPack pack_of(std::vector<unsigned char> bytes, const std::string& path) {
+  const File file = open_file(std::move(bytes), path);
   AssetPack pack;
   pack.hand = read_hand(file);
   const auto text = [](const Json& from, const char* key) {

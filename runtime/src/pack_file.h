@@ -23,6 +23,8 @@ struct AssetPack {
 // Throws Error (E-PACK-...) that names the file, the tensor, and what is allowed. Checks everything once, so that
 // nothing need be checked in a step.
 AssetPack read_pack(const std::string& path);
+// The same of a file's bytes; `path` is for errors alone.
+AssetPack pack_of(std::vector<unsigned char> bytes, const std::string& path);
 
 // The named object's spheres at a level (-1 for the leaves; "" for the only object). Throws Error.
 const std::vector<Sphere>& find_level(const AssetPack& pack, const std::string& path, const std::string& object,

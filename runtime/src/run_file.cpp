@@ -130,8 +130,9 @@ std::string RunWriter::close() {
   return hash;
 }
 
-Run read_run(const std::string& path) {
-  const McapFile file = read_mcap(path);
+Run read_run(const std::string& path) { return run_of(read_mcap(path), path); }
+
+Run run_of(const McapFile& file, const std::string& path) {
   Run run;
   run.header = find_header(file, path, kHeaderName, kRunSchema);
   run.loss = file.loss;

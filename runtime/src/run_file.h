@@ -5,6 +5,7 @@
 #include <string>
 
 #include "cdr.h"
+#include "mcap_reader.h"
 #include "mcap_writer.h"
 #include "records.h"
 #include "schemas.h"
@@ -40,5 +41,7 @@ class RunWriter {
 // E-TRACE-MISSING, E-TRACE-FORMAT, E-TRACE-SCHEMA, E-TRACE-EMPTY, E-TRACE-COMPRESSION, and E-TRACE-CRC when nothing is
 // lost and yet the content hash differs.
 Run read_run(const std::string& path);
+// The same of a file that is read; `path` is for errors alone.
+Run run_of(const McapFile& file, const std::string& path);
 
 }  // namespace palmar

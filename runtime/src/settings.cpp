@@ -77,7 +77,8 @@ Settings parse_settings(const std::string& json) {
       const auto nearest = std::min_element(keys().begin(), keys().end(), [&](const Key& a, const Key& b) {
         return edit_distance(name, a.name) < edit_distance(name, b.name);
       });
-      throw Error("E-CONF-KEY", name, std::string("no setting of this name; the nearest is '") + nearest->name + "'");
+      throw Error("E-CONF-KEY", name.empty() ? "''" : name,
+                  std::string("no setting of this name; the nearest is '") + nearest->name + "'");
     }
     if (const auto text = std::get_if<std::string Settings::*>(&found->member)) {
       if (!value.is_string()) throw Error("E-CONF-TYPE", name, value.dump() + "; text is needed");

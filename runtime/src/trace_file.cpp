@@ -1,5 +1,6 @@
 #include "trace_file.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <span>
@@ -26,6 +27,23 @@ void check_header(const Header& header, const std::string& path) {
     throw Error("E-TRACE-HEADER", path + ":header.side", "'" + side + "'; 'right' or 'left' is allowed");
 }
 
+bool is_finite(std::span<const double> values) {
+  return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
+}
+
+double norm_of(const std::array<double, 4>& q) {
+  return std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+}
+
+// 1e-3: more than rounding to single precision or three decimals does, less than any mix-up of components.
+bool is_rotation(const std::array<double, 4>& q) { return std::abs(norm_of(q) - 1) <= 1e-3; }
+
+void complete_header(Header& header, const std::string& path) {
+  set_schema(header, path, kTraceSchema);
+  check_header(header, path);
+  McapWriter::check_metadata(path, kTraceHeaderName, header);
+}
+
 void check_finite(std::span<const double> values, const char* name, const std::string& where) {
   for (std::size_t i = 0; i < values.size(); ++i)
     if (!std::isfinite(values[i]))
@@ -35,11 +53,9 @@ void check_finite(std::span<const double> values, const char* name, const std::s
 }
 
 void check_rotation(const std::array<double, 4>& q, const char* name, const std::string& where) {
-  const double norm = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-  // 1e-3: more than rounding to single precision or three decimals does, less than any mix-up of components.
-  if (!(std::abs(norm - 1) <= 1e-3))
+  if (!is_rotation(q))
     throw Error("E-TRACE-VALUE", where,
-                std::string(name) + " has norm " + number(norm) + "; 1 within 0.001 is allowed");
+                std::string(name) + " has norm " + number(norm_of(q)) + "; 1 within 0.001 is allowed");
 }
 
 void check_time(double time_s, const std::string& where) {
@@ -48,6 +64,7 @@ void check_time(double time_s, const std::string& where) {
 }
 
 void check_sample(const Sample& sample, std::size_t i, const std::string& path) {
+  if (is_storable(sample)) return;
   const std::string where = path + ":sample " + std::to_string(i);
   check_time(sample.time_s, where);
   check_finite(sample.pose.palm.position_m, "palm_position_m", where);
@@ -66,8 +83,17 @@ void check_device_bytes(const DeviceBytes& device, std::size_t i, const std::str
 
 }  // namespace
 
-Trace read_trace(const std::string& path) {
-  const McapFile file = read_mcap(path);
+bool is_storable(const Sample& sample) {
+  const auto fits = [](const Placement& place, bool used) {
+    return is_finite(place.position_m) && is_finite(place.rotation_wxyz) && (!used || is_rotation(place.rotation_wxyz));
+  };
+  return usable_time(sample.time_s) && fits(sample.pose.palm, sample.tracked) && is_finite(sample.pose.flexion_rad) &&
+         is_finite(sample.pose.abduction_rad) && fits(sample.object, sample.has_object_pose);
+}
+
+Trace read_trace(const std::string& path) { return trace_of(read_mcap(path), path); }
+
+Trace trace_of(const McapFile& file, const std::string& path) {
   Trace trace;
   trace.header = find_header(file, path, kTraceHeaderName, kTraceSchema);
   check_header(trace.header, path);
@@ -103,10 +129,28 @@ Trace read_trace(const std::string& path) {
   return trace;
 }
 
+TraceWriter::TraceWriter(const std::string& path, Header header, McapWriter::Place place, Device device)
+    : writer_((complete_header(header, path), path), place) {  // a wrong header makes no file
+  writer_.add_metadata(kTraceHeaderName, header);
+  samples_ = writer_.add_channel(kSampleType.topic, kSampleType.name, kSampleType.text);
+  if (device == Device::kWithBytes)
+    bytes_ = writer_.add_channel(kDeviceBytesType.topic, kDeviceBytesType.name, kDeviceBytesType.text);
+}
+
+void TraceWriter::add(const Sample& sample) {
+  cdr_.start();
+  sample_fields(cdr_, sample);
+  writer_.add_message(samples_, log_time_ns(sample.time_s), cdr_.bytes());
+}
+
+void TraceWriter::add(const DeviceBytes& device) {
+  cdr_.start();
+  device_bytes_fields(cdr_, device);
+  writer_.add_message(bytes_, log_time_ns(device.time_s), cdr_.bytes());
+}
+
 void write_trace(const std::string& path, const Trace& trace) {
-  Header header = trace.header;
-  set_schema(header, path, kTraceSchema);
-  check_header(header, path);
+  check_header(trace.header, path);
   if (trace.samples.empty()) throw Error("E-TRACE-EMPTY", path, "no samples; at least one is needed");
   for (std::size_t i = 0; i < trace.samples.size(); ++i) {
     check_sample(trace.samples[i], i, path);
@@ -117,29 +161,15 @@ void write_trace(const std::string& path, const Trace& trace) {
   }
   for (std::size_t i = 0; i < trace.device_bytes.size(); ++i) check_device_bytes(trace.device_bytes[i], i, path);
 
-  McapWriter writer(path);
-  writer.add_metadata(kTraceHeaderName, header);
-  const std::uint16_t samples = writer.add_channel(kSampleType.topic, kSampleType.name, kSampleType.text);
-  const std::uint16_t bytes =
-      trace.device_bytes.empty()
-          ? 0
-          : writer.add_channel(kDeviceBytesType.topic, kDeviceBytesType.name, kDeviceBytesType.text);
-  CdrEncoder cdr;
+  using Device = TraceWriter::Device;
+  TraceWriter writer(path, trace.header, McapWriter::Place::kRenamedOnClose,
+                     trace.device_bytes.empty() ? Device::kSamplesAlone : Device::kWithBytes);
   auto device = trace.device_bytes.begin();
-  const auto write_device_bytes_until = [&](double time_s) {
-    for (; device != trace.device_bytes.end() && device->time_s <= time_s; ++device) {
-      cdr.start();
-      device_bytes_fields(cdr, *device);
-      writer.add_message(bytes, log_time_ns(device->time_s), cdr.bytes());
-    }
-  };
   for (const Sample& sample : trace.samples) {
-    write_device_bytes_until(sample.time_s);
-    cdr.start();
-    sample_fields(cdr, sample);
-    writer.add_message(samples, log_time_ns(sample.time_s), cdr.bytes());
+    for (; device != trace.device_bytes.end() && device->time_s <= sample.time_s; ++device) writer.add(*device);
+    writer.add(sample);
   }
-  write_device_bytes_until(INFINITY);
+  for (; device != trace.device_bytes.end(); ++device) writer.add(*device);
   writer.close();
 }
 

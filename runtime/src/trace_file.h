@@ -3,6 +3,9 @@
 
 #include <string>
 
+#include "cdr.h"
+#include "mcap_reader.h"
+#include "mcap_writer.h"
 #include "records.h"
 
 namespace palmar {
@@ -13,8 +16,29 @@ namespace palmar {
 // What is whole is given, Trace::loss counts the rest; a sample whose time does not increase is dropped and counted.
 // Also throws E-TRACE-MISSING, E-TRACE-FORMAT, E-TRACE-SCHEMA, E-TRACE-CRC, E-TRACE-COMPRESSION.
 Trace read_trace(const std::string& path);
+// The same of a file that is read; `path` is for errors alone.
+Trace trace_of(const McapFile& file, const std::string& path);
 
 // The file appears whole or not at all. Times must rise (E-TRACE-TIME). Trace::loss is not written.
 void write_trace(const std::string& path, const Trace& trace);
+
+// True for a sample that a trace can hold: its values, not its order. Neither throws nor allocates.
+bool is_storable(const Sample& sample);
+
+// Writes a trace while its samples come. Header as above; that values are storable and times rise is the caller's part.
+class TraceWriter {
+ public:
+  enum class Device { kSamplesAlone, kWithBytes };
+  TraceWriter(const std::string& path, Header header, McapWriter::Place place, Device device = Device::kSamplesAlone);
+  void add(const Sample& sample);
+  void add(const DeviceBytes& device);  // of kWithBytes only
+  void flush() { writer_.flush(); }
+  void close() { writer_.close(); }
+
+ private:
+  McapWriter writer_;
+  std::uint16_t samples_ = 0, bytes_ = 0;
+  CdrEncoder cdr_;
+};
 
 }  // namespace palmar

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from palmar.errors import BadTrace, PalmarError
-from palmar.model import FINGERS, HAND_SHAPES
+from palmar.model import FINGERS
+from palmar.pack_check import HAND_SHAPES
 from palmar.tools.hand_file import read_hand
 from palmar.traces.adroit_hand import (
     FINGER_JOINTS,

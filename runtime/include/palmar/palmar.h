@@ -4,10 +4,10 @@
  * index, middle, ring, little; joints from the palm outwards (MCP, PIP, DIP). A link is 0 for the palm, 1 + 3 finger +
  * phalanx else.
  *
- * A sample and a result begin with their own size in bytes: set it to sizeof(the struct), and a host built against
- * another header is refused instead of misread. Functions that can fail return a palmar_code and write one line for a
- * person into `message`.
- * One session belongs to one thread at a time; different sessions are independent. */
+ * A sample, a result, a recording and its counts begin with their own size in bytes: set it to sizeof(the struct), and
+ * a host built against another header is refused instead of misread. Functions that can fail return a palmar_code and
+ * write one line for a person into `message`. One session belongs to one thread at a time; different sessions are
+ * independent. */
 #ifndef PALMAR_H
 #define PALMAR_H
 
@@ -23,6 +23,7 @@ extern "C" {
 typedef enum palmar_code {
   PALMAR_OK = 0,
   PALMAR_BAD_INPUT = 2, /* the message begins with a code such as E-PACK-SHAPE */
+  PALMAR_LOSS = 3,      /* of a recorder: samples are missing from the file; the counts say how many */
   PALMAR_BUG = 70       /* an error of Palmar's own */
 } palmar_code;
 
@@ -101,6 +102,45 @@ PALMAR_API palmar_code palmar_step(palmar_session* session, const palmar_sample*
 PALMAR_API uint32_t palmar_contacts(const palmar_session* session, palmar_contact* contacts, uint32_t capacity);
 
 PALMAR_API void palmar_close(palmar_session* session);
+
+/* What a trace says of itself. Texts are UTF-8. */
+typedef struct palmar_recording {
+  uint32_t size;
+  uint32_t ring_samples; /* how many may wait for the disk: 16 to 1048576, 0 for 4096; each takes 320 bytes */
+  const char* device;    /* what measured the hand */
+  const char* hand;      /* name of the hand model that the angles are of */
+  const char* side;      /* "right" or "left" */
+  const char* object;    /* NULL if there is none */
+  double rate_hz;        /* nominal; 0 if there is none */
+} palmar_recording;
+
+typedef struct palmar_recorder_counts {
+  uint32_t size;
+  uint32_t failed;  /* 1: the disk does not take more; palmar_recorder_close says why */
+  uint64_t taken;   /* by palmar_recorder_append */
+  uint64_t written; /* of those, in the file, where they survive the death of the host */
+  uint64_t dropped; /* there was no room: the disk was slower than the ring is long, or has failed */
+  uint64_t refused; /* not finite, not a rotation, or the time did not rise */
+} palmar_recorder_counts;
+
+typedef struct palmar_recorder palmar_recorder;
+
+/* Begins a trace at `path`, which must not exist, and a thread that writes it. Whatever happens to the host, the file
+ * holds all samples but those of the last 0.25 s. */
+PALMAR_API palmar_code palmar_recorder_open(const char* path, const palmar_recording* recording,
+                                            palmar_recorder** recorder, char* message, size_t message_size);
+
+/* Takes one sample, from one thread. Does not wait, allocate, lock or call the system. PALMAR_LOSS: dropped;
+ * PALMAR_BAD_INPUT: refused. Of a sample that is not tracked no pose is kept. */
+PALMAR_API palmar_code palmar_recorder_append(palmar_recorder* recorder, const palmar_sample* sample);
+
+/* From any thread, at any time before palmar_recorder_close. */
+PALMAR_API palmar_code palmar_recorder_count(const palmar_recorder* recorder, palmar_recorder_counts* counts);
+
+/* Writes what waits, ends the file and frees the recorder, whatever the answer. `counts` may be NULL. PALMAR_LOSS if
+ * any sample was dropped or refused; PALMAR_BAD_INPUT if the disk failed: the file then holds `written` samples. */
+PALMAR_API palmar_code palmar_recorder_close(palmar_recorder* recorder, palmar_recorder_counts* counts, char* message,
+                                             size_t message_size);
 
 #ifdef __cplusplus
 }
