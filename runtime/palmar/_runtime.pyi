@@ -53,6 +53,15 @@ class DeviceRecording:
     def dropped(self) -> int:
         """Messages for which a disk that stalled for long left no room."""
 
+def recover_trace(
+    path: str, out: str, spare: dict[str, str]
+) -> tuple[dict[str, str], dict[str, np.ndarray], dict[str, int]]:
+    """Write what is sound of a damaged trace, raw device bytes too, to `out`; gives it as `read_trace` does.
+
+    A sample with values that break the format is left out and counted. spare: header to use where the file's own is
+    damaged; empty for none. Raises BadTrace.
+    """
+
 def read_run(path: str) -> tuple[dict[str, str], dict[str, np.ndarray], dict[str, int]]:
     """Header, columns as in `palmar.records.Run`, and what was lost. Raises BadTrace."""
 

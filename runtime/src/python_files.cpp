@@ -229,6 +229,17 @@ void bind_files(nb::module_& m) {
       },
       "path"_a);
   m.def(
+      "recover_trace",
+      [](const std::string& path, const std::string& out, const Header& spare) {
+        const Trace trace = without_gil([&] {
+          Trace found = salvage_trace(path, spare);
+          write_trace(out, found);
+          return found;
+        });
+        return nb::make_tuple(trace.header, sample_columns(trace.samples), lost(trace.loss));
+      },
+      "path"_a, "out"_a, "spare"_a);
+  m.def(
       "read_run",
       [](const std::string& path) {
         const Run run = without_gil([&] { return read_run(path); });

@@ -81,6 +81,54 @@ void check_device_bytes(const DeviceBytes& device, std::size_t i, const std::str
   check_time(device.time_s, path + ":device_bytes " + std::to_string(i));
 }
 
+// A sample whose time does not rise is counted as lost.
+void take(Trace& trace, const McapMessage& message, const MessageType& type, const std::string& path,
+          std::size_t number) {
+  if (&type == &kSampleType) {
+    Sample sample;
+    decode(message.payload, sample, [](auto& cdr, auto& m) { sample_fields(cdr, m); }, path, type, number);
+    check_sample(sample, number, path);
+    if (trace.samples.empty() || sample.time_s > trace.samples.back().time_s)
+      trace.samples.push_back(sample);
+    else
+      ++trace.loss.messages;
+  } else {
+    DeviceBytes device;
+    decode(message.payload, device, [](auto& cdr, auto& m) { device_bytes_fields(cdr, m); }, path, type, number);
+    check_device_bytes(device, number, path);
+    trace.device_bytes.push_back(std::move(device));
+  }
+}
+
+// salvage: samples that cannot be a hand's are left out and counted, and a damaged header is `spare`, if that has any
+// key.
+Trace read(const McapFile& file, const std::string& path, bool salvage, const Header& spare) {
+  Trace trace;
+  const bool header_lost = file.damaged_metadata && !file.metadata.count(kTraceHeaderName);
+  trace.header = header_lost && !spare.empty() ? spare : find_header(file, path, kTraceHeaderName, kTraceSchema);
+  check_header(trace.header, path);
+  if (const auto end = file.metadata.find(kTraceEndName); end != file.metadata.end())
+    for (const auto& [key, value] : end->second) trace.header[key] = value;
+  trace.loss = file.loss;
+
+  const auto channels = find_channels(file, path, {&kSampleType, &kDeviceBytesType});
+  std::map<const MessageType*, std::size_t> seen;
+  for (const McapMessage& message : file.messages) {
+    const auto channel = channels.find(message.channel);
+    if (channel == channels.end()) continue;
+    try {
+      take(trace, message, *channel->second, path, seen[channel->second]++);
+    } catch (const Error&) {
+      if (!salvage) throw;
+      ++trace.loss.messages;
+    }
+  }
+  if (trace.samples.empty())
+    throw Error("E-TRACE-EMPTY", path,
+                "no whole sample on " + std::string(kSampleType.topic) + "; at least one is needed");
+  return trace;
+}
+
 }  // namespace
 
 bool is_storable(const Sample& sample) {
@@ -91,43 +139,11 @@ bool is_storable(const Sample& sample) {
          is_finite(sample.pose.abduction_rad) && fits(sample.object, sample.has_object_pose);
 }
 
-Trace read_trace(const std::string& path) { return trace_of(read_mcap(path), path); }
+Trace read_trace(const std::string& path) { return read(read_mcap(path), path, false, {}); }
 
-Trace trace_of(const McapFile& file, const std::string& path) {
-  Trace trace;
-  trace.header = find_header(file, path, kTraceHeaderName, kTraceSchema);
-  check_header(trace.header, path);
-  if (const auto end = file.metadata.find(kTraceEndName); end != file.metadata.end())
-    for (const auto& [key, value] : end->second) trace.header[key] = value;
-  trace.loss = file.loss;
+Trace trace_of(const McapFile& file, const std::string& path) { return read(file, path, false, {}); }
 
-  const auto channels = find_channels(file, path, {&kSampleType, &kDeviceBytesType});
-  std::size_t seen = 0;
-  for (const McapMessage& message : file.messages) {
-    const auto channel = channels.find(message.channel);
-    if (channel == channels.end()) continue;
-    if (channel->second == &kSampleType) {
-      Sample sample;
-      decode(message.payload, sample, [](auto& cdr, auto& m) { sample_fields(cdr, m); }, path, kSampleType, seen);
-      check_sample(sample, seen++, path);
-      if (trace.samples.empty() || sample.time_s > trace.samples.back().time_s)
-        trace.samples.push_back(sample);
-      else
-        ++trace.loss.messages;
-    } else {
-      DeviceBytes device;
-      decode(
-          message.payload, device, [](auto& cdr, auto& m) { device_bytes_fields(cdr, m); }, path, kDeviceBytesType,
-          trace.device_bytes.size());
-      check_device_bytes(device, trace.device_bytes.size(), path);
-      trace.device_bytes.push_back(std::move(device));
-    }
-  }
-  if (trace.samples.empty())
-    throw Error("E-TRACE-EMPTY", path,
-                "no whole sample on " + std::string(kSampleType.topic) + "; at least one is needed");
-  return trace;
-}
+Trace salvage_trace(const std::string& path, const Header& spare) { return read(read_mcap(path), path, true, spare); }
 
 TraceWriter::TraceWriter(const std::string& path, Header header, McapWriter::Place place, Device device)
     : writer_((complete_header(header, path), path), place) {  // a wrong header makes no file
