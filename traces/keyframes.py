@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from palmar.errors import PalmarError
 from palmar.model import FINGERS, HandModel
 from palmar.records import Trace
+from palmar.traces.disturb import disturb
 from palmar.traces.kinematics import Array, phalanges_in_palm
-from palmar.traces.scene_file import Disturbance, Key, KeysScene, Noise, RandomScene, Sampled
+from palmar.traces.scene_file import Key, KeysScene, Noise, RandomScene, Sampled
 
 MEMBERS = {
     **{name: [number] for number, name in enumerate(FINGERS)},
@@ -56,7 +56,6 @@ def key_trace(scene: Sampled, hand: HandModel, start: int = 0) -> Trace:
     # The first sample at or before each step, as a device of that rate delivers it.
     held_s = np.floor(time_s / sample_s + 1e-6) * sample_s if scene.hold_hz else time_s
     moved = move_between(place, times, ways, np.minimum(held_s + late_s, times[-1]))
-    moved, tracked = disturb(moved, time_s, scene.disturbance)
     moved = add_noise(moved, scene.noise, scene.rate_hz, generator, held_s if scene.hold_hz else None)
     has_object = any(key.object_position_m is not None or key.object_turn_rad is not None for key in keys)
     header = {
@@ -66,24 +65,25 @@ def key_trace(scene: Sampled, hand: HandModel, start: int = 0) -> Trace:
         "rate_hz": f"{scene.rate_hz:g}",
         "seed": str(start),
         "assumptions": json.dumps([f"The motion starts {1e3 * late_s:.4g} ms late."] if late_s else []),
-        "phases": json.dumps(_phases(keys, times, late_s, scene, float(time_s[-1]))),
+        "phases": json.dumps(_phases(keys, times, late_s)),
     }
     if scene.limits:
         header["limits"] = json.dumps({name: limit.model_dump() for name, limit in scene.limits.items()})
     if scene.far_side:
         header["far_side"] = json.dumps([region.model_dump(exclude_none=True) for region in scene.far_side])
-    return Trace(
+    trace = Trace(
         header=header,
         time_s=time_s,
         palm_position_m=moved.position_m,
         palm_rotation_wxyz=_wxyz(moved.rotation),
         flexion_rad=moved.flexion_rad,
         abduction_rad=moved.abduction_rad,
-        tracked=tracked,
+        tracked=np.ones(count, dtype=bool),
         has_object_pose=np.full(count, has_object),
         object_position_m=moved.object_position_m,
         object_rotation_wxyz=_wxyz(moved.object_rotation),
     )
+    return disturb(trace, scene.disturbance, generator)
 
 
 def min_jerk(u: Array) -> Array:
@@ -187,30 +187,6 @@ def move_between(place: Postures, times: Array, ways: list[str], at_s: Array) ->
     )
 
 
-def disturb(moved: Postures, time_s: Array, faults: list[Disturbance]) -> tuple[Postures, NDArray[np.bool_]]:
-    """The postures as they arrive, and whether the hand was tracked, (n,)."""
-    position, flexion = moved.position_m.copy(), moved.flexion_rad.copy()
-    rotation, abduction = moved.rotation.copy(), moved.abduction_rad.copy()
-    tracked = np.ones(len(time_s), dtype=bool)
-    for fault in faults:
-        during = np.flatnonzero((time_s >= fault.at_s - 1e-9) & (time_s < fault.at_s + fault.for_s - 1e-9))
-        if not len(during):
-            continue
-        if fault.kind == "spike":
-            position[during] += fault.move_m
-            rotation[during] = (Rotation.from_rotvec(fault.turn_rad) * Rotation.from_quat(rotation[during])).as_quat()
-            flexion[during] += fault.flexion_rad
-        elif fault.kind == "zeros":
-            position[during], flexion[during], abduction[during] = 0.0, 0.0, 0.0
-            rotation[during] = [0.0, 0.0, 0.0, 1.0]
-        else:
-            before = max(during[0] - 1, 0)
-            for values in (position, rotation, flexion, abduction):
-                values[during] = values[before]
-            tracked[during] = fault.kind != "untracked"
-    return Postures(position, rotation, flexion, abduction, moved.object_position_m, moved.object_rotation), tracked
-
-
 def add_noise(
     moved: Postures, noise: Noise, rate_hz: float, generator: np.random.Generator, held_s: Array | None
 ) -> Postures:
@@ -280,17 +256,15 @@ def _point(key: Key, before: Array) -> Array:
     return before if key.move_m is None else before + key.move_m
 
 
-def _phases(keys: list[Key], times: Array, late_s: float, scene: Sampled, end_s: float) -> list[dict[str, Any]]:
-    """Named times between keys, neighbours of one name as one, and the disturbances; in the order of their starts."""
+def _phases(keys: list[Key], times: Array, late_s: float) -> list[dict[str, Any]]:
+    """Named times between keys, neighbours of one name as one, in the order of their starts."""
     found: list[dict[str, Any]] = []
     for key, start, end in zip(keys[1:], times[:-1] - late_s, times[1:] - late_s, strict=True):
         if key.phase and found and found[-1] == {**found[-1], "name": key.phase, "end_s": max(float(start), 0.0)}:
             found[-1]["end_s"] = float(end)
         elif key.phase:
             found.append({"name": key.phase, "start_s": max(float(start), 0.0), "end_s": float(end)})
-    for fault in scene.disturbance:
-        found.append({"name": "disturbance", "start_s": fault.at_s, "end_s": min(fault.at_s + fault.for_s, end_s)})
-    return sorted(found, key=lambda phase: phase["start_s"])
+    return found
 
 
 def _wxyz(xyzw: Array) -> Array:

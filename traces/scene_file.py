@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import itertools
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -22,14 +22,19 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+Phase = Literal["approach", "close", "open", "slide", "hold", "leave"]
+
+
 class GraspScene(Strict):
-    """Approach, close, slide, hold still, leave. SI units; every key is needed, none beyond these is known."""
+    """A grasp, or a touch of some fingers, in phases. SI units; keys without a default are needed."""
 
     kind: Literal["grasp"]
     why: str = Field(min_length=1)
     rate_hz: float = Field(ge=50, le=8000)
     start_m: float = Field(ge=0.01, le=0.5)
-    press_m: float = Field(ge=0.0, le=0.02)
+    press_m: float = Field(ge=-0.15, le=0.02)  # palm into the object; below 0 it stays so far off
+    fingers: list[Which] = ["all"]  # which close; the others stay open and clear of the object
+    phases: list[Phase] = ["approach", "close", "slide", "hold", "leave"]
     squeeze_m: float = Field(ge=0.0, le=0.05)
     slide_radial_m: float = Field(ge=0.0, le=0.05)
     slide_distal_m: float = Field(ge=0.0, le=0.05)
@@ -41,10 +46,22 @@ class GraspScene(Strict):
     thumb_open_rad: Three
     thumb_fist_rad: Three
     approach_s: float = Field(ge=0.1, le=10)
-    close_s: float = Field(ge=0.1, le=10)
+    close_s: float = Field(ge=0.02, le=10)
     slide_s: float = Field(ge=0.1, le=10)
     hold_s: float = Field(ge=0.1, le=60)
     leave_s: float = Field(ge=0.1, le=10)
+    open_s: float = Field(default=1.0, ge=0.02, le=10)
+
+    @model_validator(mode="after")
+    def _phases_that_fit(self) -> GraspScene:
+        closed = False
+        if self.phases[:1] != ["approach"] or self.phases[-1:] != ["leave"]:
+            raise ValueError("phases from approach to leave")
+        for phase in self.phases[1:-1]:
+            if phase in ("approach", "leave") or (phase == "close") == closed:
+                raise ValueError("close first, then slide, hold or open, and close again after open only")
+            closed = phase != "open"
+        return self
 
 
 class Key(Strict):
@@ -74,12 +91,64 @@ class Key(Strict):
 class Disturbance(Strict):
     """What goes wrong with the samples from at_s on for for_s; in the header it is a phase of the name disturbance."""
 
-    kind: Literal["spike", "frozen", "untracked", "zeros"]
-    at_s: Seconds
-    for_s: Seconds
+    kind: Literal[
+        "spike",
+        "frozen",
+        "untracked",
+        "zeros",
+        "broken",
+        "stuck",
+        "dropped",
+        "doubled",
+        "swapped",
+        "late",
+        "clock",
+        "sampled",
+    ]
+    at_s: Seconds = 0.0  # since the first sample
+    for_s: Seconds = 600.0
+    share: float = Field(default=1.0, gt=0.0, le=1.0)  # of the samples in that time, drawn by the seed
     move_m: Three = (0.0, 0.0, 0.0)  # added by a spike
     turn_rad: Three = (0.0, 0.0, 0.0)  # likewise
     flexion_rad: float = 0.0  # likewise, to every joint
+    of: Literal["palm", "thumb", "index", "middle", "ring", "little", "fingers", "all"] = "all"  # broken, stuck
+    value: Literal["nan", "inf", "-inf", "huge", "denormal"] = "nan"  # that a broken number has
+    by_s: float = Field(default=0.0, ge=-1e6, le=1e6)  # how late a sample comes; by how much the clock leaps
+    times: int = Field(default=2, ge=2, le=10)  # how often a doubled sample comes
+    own_times: bool = (
+        False  # whether each double has a time of its own, as in a stream that was padded to a higher rate
+    )
+    rate_hz: float = Field(default=1000.0, ge=10.0, le=8000.0)  # of the device that samples the motion
+    jitter: float = Field(default=0.0, ge=0.0, le=0.49)  # share of its interval that a sample may be early or late
+
+    @model_validator(mode="after")
+    def _its_own_keys(self) -> Disturbance:
+        allowed = {"kind", "at_s", "for_s", *KEYS_OF_DISTURBANCE[self.kind]}
+        for key in self.model_fields_set - allowed:
+            raise ValueError(f"{', '.join(sorted(allowed - {'kind'}))} with kind {self.kind}, not {key}")
+        return self
+
+
+KEYS_OF_DISTURBANCE: dict[str, tuple[str, ...]] = {
+    "spike": ("share", "move_m", "turn_rad", "flexion_rad"),
+    "frozen": (),
+    "untracked": (),
+    "zeros": ("share",),
+    "broken": ("share", "of", "value"),
+    "stuck": ("of",),
+    "dropped": ("share",),
+    "doubled": ("share", "times", "own_times"),
+    "swapped": ("share",),
+    "late": ("share", "by_s"),
+    "clock": ("by_s",),
+    "sampled": ("rate_hz", "jitter"),
+}
+
+
+class Faults(Strict):
+    """A file of faults for any trace: the same tables as in a scene."""
+
+    disturbance: list[Disturbance] = Field(min_length=1)
 
 
 class Noise(Strict):
@@ -127,6 +196,10 @@ class Sampled(Strict):
     settled_after_steps: int | None = Field(default=None, ge=1)  # of constant input; then no force may change by a bit
     end_offset_m: float | None = Field(default=None, ge=0.0)  # how far the palm may be from the glove's at the end
     same_end_force_n: float | None = Field(default=None, ge=0.0)  # how far the last forces of its cases may differ
+    same_end_m: float | None = Field(default=None, ge=0.0)  # how far the last places of the palm shown may differ
+    force_gone_after_s: float | None = Field(
+        default=None, ge=0.0
+    )  # since the last tracked sample; then nothing is felt
     sweep: list[dict[str, list[Any]]] = []
 
 
@@ -156,6 +229,7 @@ class RandomScene(Sampled):
 
 
 Scene = GraspScene | KeysScene | RandomScene
+Table = TypeVar("Table", bound=BaseModel)
 SCENE_KINDS: dict[str, type[Scene]] = {"grasp": GraspScene, "keys": KeysScene, "random": RandomScene}
 
 
@@ -166,7 +240,11 @@ def check_scene(keys: dict[str, Any], where: str) -> Scene:
         raise PalmarError(
             "E-CONF", f"{where}:kind", f"found {kind!r}; allowed is {' or '.join(map(repr, SCENE_KINDS))}"
         )
-    model = SCENE_KINDS[kind]
+    return validated(SCENE_KINDS[kind], keys, where)
+
+
+def validated(model: type[Table], keys: dict[str, Any], where: str) -> Table:
+    """The keys as the model has them. Raises PalmarError E-CONF `where:key` for the first fault."""
     try:
         return model.model_validate(keys)
     except ValidationError as error:
