@@ -36,9 +36,9 @@ class Log:
         return np.column_stack([self.columns[name] for name in names])
 
 
-def read_header(path: Path) -> list[str]:
+def read_header(path: Path, delimiter: str = ",") -> list[str]:
     """Names in the first line of a log. Raises BadTrace E-TRACE-MISSING, E-TRACE-FORMAT or E-TRACE-EMPTY."""
-    return _split(path, _text(path)[0])[0]
+    return _split(path, _text(path)[0], delimiter)[0]
 
 
 def read_log(
@@ -48,10 +48,15 @@ def read_log(
     *,
     optional: Sequence[str] = (),
     may_be_empty: Collection[str] = (),
+    unused: Collection[str] = (),
+    delimiter: str = ",",
+    repair: bool = False,
 ) -> Log:
     """Read a whole log of finite numbers in which time increases.
 
     optional: columns that may be there too. may_be_empty: columns whose fields may be empty; they are NaN then.
+    unused: columns that are not read, whatever they hold. repair: what is no finite number is NaN, a last line that
+    does not end is left out, and times may go back.
 
     Raises BadTrace: E-TRACE-MISSING (no file), E-TRACE-FORMAT (not text), E-TRACE-EMPTY (no rows), E-TRACE-COLUMNS (a
     column is missing, unknown or doubled, or a line has too few fields), E-TRACE-VALUE (not a finite number, or the
@@ -59,12 +64,14 @@ def read_log(
     """
     path = Path(path)
     text, sha256 = _text(path)
-    rows = _split(path, text)
-    _check_names(path, rows[0], required, optional)
+    rows = _split(path, text, delimiter)
+    _check_names(path, rows[0], required, optional, unused)
     names, rows = rows[0], rows[1:]
     if not rows:
         raise BadTrace("E-TRACE-EMPTY", str(path), "only a header line; at least one row of numbers is needed")
-    if not text.endswith(("\n", "\r")):
+    if not text.endswith(("\n", "\r")) and repair and len(rows) > 1:
+        rows.pop()
+    elif not text.endswith(("\n", "\r")):
         raise BadTrace(
             "E-TRACE-VALUE",
             f"{path}:line {len(rows) + 1}",
@@ -75,6 +82,10 @@ def read_log(
             raise BadTrace(
                 "E-TRACE-COLUMNS", f"{path}:line {i + 2}", f"{len(row)} fields; the header names {len(names)} columns"
             )
+    read = [k for k, name in enumerate(names) if name not in unused]
+    names, rows = [names[k] for k in read], [[row[k] for k in read] for row in rows]
+    if repair:
+        rows = [[field if _is_finite(field) else "" for field in row] for row in rows]
     gaps = [name in may_be_empty for name in names]
     empty = np.array([[gap and not field for gap, field in zip(gaps, row, strict=True)] for row in rows])
     filled = [["0" if e else field for e, field in zip(*pair, strict=True)] for pair in zip(empty, rows, strict=True)]
@@ -90,7 +101,7 @@ def read_log(
     table[empty] = np.nan
     time = table[:, names.index(time_column)]
     late = np.flatnonzero(np.diff(time) <= 0)
-    if late.size:
+    if late.size and not repair:
         i = int(late[0]) + 1
         raise BadTrace(
             "E-TRACE-TIME",
@@ -133,10 +144,10 @@ def _text(path: Path) -> tuple[str, str]:
     return text, hashlib.sha256(content).hexdigest()
 
 
-def _split(path: Path, text: str) -> list[list[str]]:
+def _split(path: Path, text: str, delimiter: str = ",") -> list[list[str]]:
     """Fields of every line; blank lines at the end are dropped."""
     try:
-        rows = list(csv.reader(io.StringIO(text)))
+        rows = list(csv.reader(io.StringIO(text), delimiter=delimiter))
     except csv.Error as error:
         raise BadTrace("E-TRACE-FORMAT", str(path), f"not a comma-separated log ({error})") from None
     while rows and not any(field.strip() for field in rows[-1]):
@@ -146,7 +157,9 @@ def _split(path: Path, text: str) -> list[list[str]]:
     return [[field.strip() for field in row] for row in rows]
 
 
-def _check_names(path: Path, names: list[str], required: list[str], optional: Sequence[str]) -> None:
+def _check_names(
+    path: Path, names: list[str], required: list[str], optional: Sequence[str], unused: Collection[str]
+) -> None:
     where = f"{path}:line 1"
     doubled = sorted({name for name in names if names.count(name) > 1})
     if doubled:
@@ -157,8 +170,9 @@ def _check_names(path: Path, names: list[str], required: list[str], optional: Se
     if missing:
         found = f"; unknown here: {', '.join(unknown[:5])}" if unknown else ""
         raise BadTrace("E-TRACE-COLUMNS", where, f"column {', '.join(missing[:5])} is missing{found}")
-    if unknown:
-        raise BadTrace("E-TRACE-COLUMNS", where, f"unknown column {unknown[0]!r}{nearest(unknown[0], known)}")
+    for name in unknown:
+        if name not in unused:
+            raise BadTrace("E-TRACE-COLUMNS", where, f"unknown column {name!r}{nearest(name, known)}")
 
 
 def _number(path: Path, i: int, name: str, value: str) -> float:
@@ -166,6 +180,13 @@ def _number(path: Path, i: int, name: str, value: str) -> float:
         return float(value)
     except ValueError:
         raise _bad_value(path, i, name, value) from None
+
+
+def _is_finite(field: str) -> bool:
+    try:
+        return bool(np.isfinite(float(field)))
+    except ValueError:
+        return False
 
 
 def _bad_value(path: Path, i: int, name: str, value: str) -> BadTrace:

@@ -25,7 +25,7 @@ def calibrate_readings(trace: Trace, name: str) -> tuple[Profile, dict[str, Any]
 
     Raises BadTrace E-TRACE-EMPTY if few samples are tracked or no joint moves.
     """
-    flexion = trace.flexion_rad[trace.tracked]
+    flexion = np.nan_to_num(trace.flexion_rad[trace.tracked])  # a joint without a column stands still
     source = trace.header.get("source", "a trace")
     if len(flexion) < ENOUGH:
         raise BadTrace("E-TRACE-EMPTY", source, f"{len(flexion)} tracked samples; {ENOUGH} are needed")
