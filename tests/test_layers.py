@@ -37,7 +37,10 @@ DOORS = {
     "OpenEXR": ["tools/exr.py"],
     "matplotlib": ["eval/chart_figures.py", "eval/figures.py", "tools/cover_picture.py", "tools/hand_picture.py"],
     "plotly": ["eval/page.py"],
-    "pydantic": ["traces/scene_file.py"],
+    "flatbuffers": ["traces/isaac_teleop.py"],
+    "mcap": ["traces/isaac_teleop.py"],
+    "pyarrow": ["runtime/palmar/tables.py"],
+    "pydantic": ["traces/column_map.py", "traces/scene_file.py"],
     "pygltflib": ["tools/gltf_skin.py"],
     "rich": ["runtime/palmar/terminal.py"],
     "safetensors": ["runtime/palmar/model.py"],
@@ -49,7 +52,7 @@ DOORS = {
         for name in ("", "_app", "_calibrate", "_make", "_record", "_trace", "_judge", "_check", "_chart")
     ],
 }
-OF_FUNCTIONS = {"open3d", "pyvista"}
+OF_FUNCTIONS = {"open3d", "pyarrow", "pyvista"}
 
 
 def imports(path: Path) -> set[tuple[str, bool]]:

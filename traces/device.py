@@ -5,37 +5,48 @@ from __future__ import annotations
 import inspect
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from palmar.coupling import complete_flexion
 from palmar.errors import BadTrace, PalmarError
 from palmar.model import HandModel, write_whole
 from palmar.profile import Profile
 from palmar.records import Trace, write_trace
+from palmar.tables import holds_table
 from palmar.traces.adroit_door import COLUMNS as ADROIT_DOOR_COLUMNS
 from palmar.traces.adroit_door import read_adroit_door
 from palmar.traces.adroit_hand import adroit_hand_toml
+from palmar.traces.column_map import read_column_map, read_mapped_csv
 from palmar.traces.columns import nearest, read_header
 from palmar.traces.glove_angles import read_opengloves
+from palmar.traces.isaac_teleop import read_isaac_teleop
 from palmar.traces.leap import COLUMNS as LEAP_COLUMNS
 from palmar.traces.leap import read_leap
 from palmar.traces.optical_glove import COLUMNS as OPTICAL_COLUMNS
 from palmar.traces.optical_glove import read_optical_glove
 from palmar.traces.readings import apply_readings
 from palmar.traces.recording import Recording
+from palmar.traces.samples import COLUMNS as SAMPLE_COLUMNS
+from palmar.traces.samples import read_samples
 from palmar.traces.scenario_csv import COLUMNS as SCENARIO_COLUMNS
 from palmar.traces.scenario_csv import read_scenario_csv
 from palmar.traces.solve import solve_recording
 from palmar.traces.webxr import COLUMNS as WEBXR_COLUMNS
 from palmar.traces.webxr import read_webxr
+from palmar.traces.webxr_json import read_webxr_json
 
 
 class Device(NamedTuple):
-    """A format: how to read it, what it is, and the header row that gives it away."""
+    """A format: how to read it, what it is, and the header row or the ending that gives it away."""
 
     read: Callable[..., Trace | Recording]
     about: str
     columns: list[str]
+    endings: tuple[str, ...] = ()
 
 
 DEVICES: dict[str, Device] = {
@@ -46,11 +57,20 @@ DEVICES: dict[str, Device] = {
         read_adroit_door, "CyberGlove demonstrations of the Adroit hand at a door", ADROIT_DOOR_COLUMNS
     ),
     "webxr": Device(read_webxr, "WebXR hand tracking, such as a Quest 3's: 25 joint poses a row", WEBXR_COLUMNS),
+    "webxr-json": Device(
+        read_webxr_json, "WebXR input captured by Meta's immersive web emulation runtime", [], (".json",)
+    ),
     "leap": Device(read_leap, "Leap Motion: palm and finger joints a row", LEAP_COLUMNS),
     "optical-glove": Device(
         read_optical_glove, "motion capture of a glove: three markers on the back, two a finger", OPTICAL_COLUMNS
     ),
     "opengloves": Device(read_opengloves, "the raw bytes in a recording of `palmar record`", ["device_bytes"]),
+    "isaac-teleop": Device(
+        read_isaac_teleop, "MCAP recordings of NVIDIA's Isaac Teleop: 26 OpenXR joints a hand", [], (".mcap",)
+    ),
+    "samples": Device(
+        read_samples, "samples that `palmar export` wrote, as CSV, JSON or Parquet", SAMPLE_COLUMNS, (".parquet",)
+    ),
 }
 # Not a trace: the hand that a device's angles are of, as hand TOML.
 HANDS: dict[str, tuple[Callable[..., str], str]] = {
@@ -70,8 +90,9 @@ def import_file(
 ) -> dict[str, Any]:
     """Turn a foreign log into a trace (or a hand's description into a hand TOML) and say what was done.
 
-    format: a name of DEVICES or HANDS; None takes it from the header row (or the extension .json). options go to the
-    format's reader. hand: that positions are solved for, already made to fit the profile; profile: whose hand it is.
+    format: a name of DEVICES or HANDS, or a TOML file that maps the columns of a CSV; None takes it from the header row
+    or the ending. options go to the format's reader. hand: that positions are solved for, or whose coupling joints
+    without a column follow, already made to fit the profile; profile: whose hand it is.
     change: the last thing done to the trace. Returns format, out, samples, duration_s, rate_hz (None for a single
     sample), assumptions (sentences), changed (what: how many or how much) and, of positions, residual_mm.
     Raises BadTrace, PalmarError; then nothing is written.
@@ -91,6 +112,8 @@ def import_file(
         trace = solve_recording(log, hand, profile)
     elif profile is not None and hand is not None:
         trace = apply_readings(log, hand, profile)
+    elif np.isnan(log.flexion_rad).any():
+        trace = _follow_coupling(log, hand, name)
     elif hand is not None:
         raise PalmarError("E-CONF", "--hand", f"format {name} has the angles of its own hand; leave it out")
     else:
@@ -100,16 +123,36 @@ def import_file(
     return {"format": name, "out": str(out), **summarise(trace)}
 
 
+def _follow_coupling(log: Trace, hand: HandModel | None, name: str) -> Trace:
+    """The log with its joints without a column filled by the hand's coupling."""
+    if hand is None:
+        raise PalmarError("E-CONF", "--hand", f"{name} has no column for some joints: whose coupling do they follow?")
+    said = "Joints without a column follow the coupling of the hand."
+    header = {
+        **log.header,
+        "hand": hand.about["name"],
+        "assumptions": json.dumps([*json.loads(log.header["assumptions"]), said]),
+    }
+    return replace(log, header=header, flexion_rad=complete_flexion(hand, log.flexion_rad))
+
+
 def read_device(path: str | Path, format: str | None = None, **options: Any) -> Trace | Recording:
     """What a foreign log holds, angles or positions. Raises BadTrace, PalmarError."""
     path = Path(path)
     name = format or _guess_format(path)
+    if name.endswith(".toml"):
+        columns = read_column_map(name)
+        for option in options:
+            raise PalmarError("E-CONF", option, "no option: the map says all; write it into the map")
+        return read_mapped_csv(path, columns)
     if name in HANDS:
         raise BadTrace("E-TRACE-FORMAT", str(path), f"format {name} is a hand; a log of a hand that moves is needed")
     if name not in DEVICES:
         known = [*DEVICES, *HANDS]
         raise BadTrace(
-            "E-TRACE-FORMAT", str(path), f"format {name!r}{nearest(name, known)}; known are {', '.join(known)}"
+            "E-TRACE-FORMAT",
+            str(path),
+            f"format {name!r}{nearest(name, known)}; known are {', '.join(known)}, or a .toml map",
         )
     read = DEVICES[name].read
     _check_options(name, read, options)
@@ -124,7 +167,7 @@ def summarise(trace: Trace) -> dict[str, Any]:
         "samples": len(trace.time_s),
         "duration_s": float(trace.time_s[-1] - trace.time_s[0]),
         "rate_hz": float(rate) if rate else None,
-        "assumptions": json.loads(trace.header["assumptions"]),
+        "assumptions": json.loads(trace.header.get("assumptions", "[]")),
         "changed": json.loads(trace.header.get("changed", "{}")),
         **residual,
     }
@@ -133,18 +176,46 @@ def summarise(trace: Trace) -> dict[str, Any]:
 def _guess_format(path: Path) -> str:
     """The format whose columns share most names with the header row; its reader then names what is misspelt."""
     if path.suffix == ".json":
-        return "adroit-hand"
+        return _guess_json(path)
+    if path.suffix == ".mcap":
+        return "opengloves" if _is_ours(path) else "isaac-teleop"
+    for name, device in DEVICES.items():
+        if path.suffix in device.endings:
+            return name
     known = ", ".join([*DEVICES, *HANDS])
     if path.suffix not in (".csv", ".tsv", ".txt"):
         raise BadTrace(
             "E-TRACE-FORMAT", str(path), f"extension {path.suffix!r} is of no known format; name one of {known}"
         )
     header = set(read_header(path))
-    shared = {name: len(header & set(device.columns)) / len(device.columns) for name, device in DEVICES.items()}
+    named = {name: set(device.columns) for name, device in DEVICES.items() if device.columns}
+    shared = {name: len(header & columns) / len(columns) for name, columns in named.items()}
     best = max(shared, key=lambda name: shared[name])
     if shared[best] < 0.5:
-        raise BadTrace("E-TRACE-FORMAT", f"{path}:line 1", f"the header row is of no known format; name one of {known}")
+        found = f"the header row is of no known format; name one of {known}, or a .toml map of its columns"
+        raise BadTrace("E-TRACE-FORMAT", f"{path}:line 1", found)
     return best
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether an MCAP file says in its header that Palmar wrote it."""
+    try:
+        with path.open("rb") as stream:
+            return b"palmar" in stream.read(64)
+    except OSError:
+        return False
+
+
+def _guess_json(path: Path) -> str:
+    """By the first key: an exported table and a capture both have a schema, which is a text or a list."""
+    if holds_table(path):
+        return "samples"
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(64).replace(b" ", b"").replace(b"\n", b"")
+    except OSError:
+        start = b""
+    return "webxr-json" if start.startswith(b'{"schema":[[') else "adroit-hand"
 
 
 def _check_options(name: str, read: Callable[..., Any], options: dict[str, Any]) -> None:

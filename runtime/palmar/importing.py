@@ -31,6 +31,11 @@ def import_log(
     grasp: pack, built for the same hand, whose object is put where the hand closes. Raises BadPack, BadTrace,
     PalmarError; then nothing is written.
     """
+    for option in options or {}:
+        if option in ("format", "hand", "profile", "change"):
+            raise PalmarError(
+                "E-CONF", option, "no option of a format; what the verb itself takes has a flag of its own"
+            )
     profile = None if profile_path is None else read_profile(profile_path)
     hand, warnings = None, []
     if hand_name is not None or profile is not None:
