@@ -145,6 +145,14 @@ def test_a_run_is_verified_step_by_step(run, files, tmp_path):
     assert run(*verify, "--set", "rate_hz=90")[0] == 2
 
 
+def test_the_other_hands_trace_is_refused_by_name(run, files, tmp_path):
+    trace = read_trace(files / "whole.mcap")
+    write_trace(tmp_path / "left.mcap", Trace(**{**vars(trace), "header": trace.header | {"side": "left"}}))
+    code, _, errors = run("replay", files / "cube.pack", "left.mcap", "-o", "x.run.mcap")
+    assert code == 2 and errors[0].startswith("E-TRACE-SIDE left.mcap") and "right one" in errors[0]
+    assert not (tmp_path / "x.run.mcap").exists()
+
+
 def test_json_is_one_object_on_stdout_and_stderr_stays_empty(run, files, tmp_path):
     pack, trace = files / "cube.pack", files / "whole.mcap"
     lines = [

@@ -35,7 +35,7 @@ def replay(
     """
     from palmar.files import lost_line, require_file, require_place
     from palmar.records import read_trace
-    from palmar.replay import hand_warning, object_of, replay_file
+    from palmar.replay import hand_warning, object_of, replay_file, require_side
     from palmar.show import print_replay
     from palmar.terminal import print_json, progress_bar
 
@@ -53,6 +53,7 @@ def replay(
     damage = lost_line(trace, samples.lost)
     if damage and not accept_loss:
         return complain(f"{damage}; nothing was written: pass --accept-loss to replay what is left", LOSS)
+    require_side(samples, trace, pack)
     warning = hand_warning(samples, pack)
     if warning:
         print(f"warning: {warning}", file=sys.stderr)

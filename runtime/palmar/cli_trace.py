@@ -27,7 +27,10 @@ def import_(
     *,
     out: OutFile,
     form: Annotated[
-        str | None, typer.Option("--format", help="Name of the format; found from the file if left out.")
+        str | None,
+        typer.Option(
+            "--format", help="Name of the format, or TOML map of a CSV's columns; found from the file if none."
+        ),
     ] = None,
     option: Annotated[
         list[str] | None, typer.Option("--option", help="key=value for the format's reader; may be repeated.")
@@ -88,6 +91,47 @@ def script(
 
 
 @app.command()
+def disturb(
+    trace: Annotated[Path, typer.Argument(help="Any trace.")],
+    faults: Annotated[Path, typer.Argument(help="TOML file with [[disturbance]] tables, as in a scene.")],
+    *,
+    out: OutFile,
+    seed: Seed = 0,
+    json: Json = False,
+) -> None:
+    """Trace with faults of sensors, links and clocks put into it -> what a receiver of such samples makes of it."""
+    from palmar.files import require_file, require_place
+    from palmar.terminal import print_fields, print_json
+    from palmar.traces.disturb import disturb_file
+
+    require_place(out)
+    answer = disturb_file(require_file(trace), require_file(faults), out, seed)
+    print_json(answer) if json else print_fields(answer)
+
+
+@app.command()
+def recover(
+    trace: Annotated[Path, typer.Argument(help="Truncated or damaged trace.")],
+    *,
+    out: OutFile,
+    header_of: Annotated[
+        Path | None, typer.Option(help="Sound trace of the same device and hand, if the damaged one lost its header.")
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Damaged trace -> a sound one, opened again and checked. Exit code 3 if something was lost, 0 if nothing was."""
+    from palmar.files import lost_line, require_file, require_place
+    from palmar.recover import recover_file
+    from palmar.terminal import print_fields, print_json
+
+    require_place(out)
+    answer = recover_file(require_file(trace), out, header_of and require_file(header_of))
+    damage = lost_line(trace, answer["lost"])
+    print_json(answer) if json else print_fields({name: answer[name] for name in answer if name != "lost"})
+    return complain(damage, LOSS) if damage else 0
+
+
+@app.command()
 def show(file: Annotated[Path, typer.Argument(help="Pack, trace or run.")], json: Json = False) -> int:
     """What is in a pack, a trace or a run."""
     from palmar.files import load_any, lost_line
@@ -108,15 +152,16 @@ def export(
     out: OutFolder,
     name: Annotated[str, typer.Option("--object", help="One object of a pack; all if left out.")] = "",
     level: Annotated[int | None, typer.Option(min=0, help="Level of the spheres; the leaves if left out.")] = None,
+    form: Annotated[str, typer.Option("--format", help="csv, json or parquet.")] = "csv",
     json: Json = False,
 ) -> int:
-    """Spheres of a pack, poses of a run or samples of a trace as CSV, every number in full."""
+    """Spheres of a pack, poses of a run or samples of a trace as a table, every number in full."""
     from palmar.export import export_file
     from palmar.files import load_any, lost_line, require_folder
     from palmar.terminal import print_json
 
     content = load_any(file)
-    written = [str(path) for path in export_file(content, file, require_folder(out), name, level)]
+    written = [str(path) for path in export_file(content, file, require_folder(out), name, level, form)]
     print_json({"written": written}) if json else print(*written, sep="\n")
     damage = lost_line(file, getattr(content, "lost", {}))
     return complain(damage, LOSS) if damage else 0

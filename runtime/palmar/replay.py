@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from palmar import _runtime
+from palmar.errors import BadTrace
 from palmar.files import sha256_of
 from palmar.model import load_pack
 from palmar.records import STATUS, Trace
@@ -55,6 +56,14 @@ def object_of(trace: Trace, pack: Path) -> str:
     """The object that the trace says it was made for, if the pack has it; else "", which stands for the only one."""
     named = trace.header.get("object", "")
     return named if named in load_pack(pack).objects else ""
+
+
+def require_side(trace: Trace, path: Path, pack: Path) -> None:
+    """Raise BadTrace E-TRACE-SIDE if the trace is of the other hand than the pack's: mirrored, it looks like one."""
+    said, about = trace.header["side"], load_pack(pack).hand.about
+    if said != about.get("side", said):
+        found = f"is of a {said} hand; {about['name']} in {pack.name} is a {about['side']} one"
+        raise BadTrace("E-TRACE-SIDE", str(path), found)
 
 
 def hand_warning(trace: Trace, pack: Path) -> str:
