@@ -14,6 +14,7 @@ from palmar.traces.kinematics import Array, phalanges_in_palm
 
 SEARCH_STEPS, CLOSING_STEPS = 9, 65  # closings tried between open and fist, to choose the side and to place the fingers
 ANCHORS_M = (0.0, -0.02, -0.04)  # how far towards the wrist from the knuckles the object's middle may lie
+FAR_ANCHORS_M = (0.02, 0.04)  # and before them, where the palm stays off the object
 SEARCH_CELLS = 24  # the side is chosen with the largest leaf of each cell, so many cells along the object's diagonal
 
 
@@ -25,7 +26,7 @@ class Closing:
     opened_rad: Array  # (5, 3)
     fist_rad: Array  # (5, 3)
     abduction_rad: Array  # (5,)
-    press_m: float  # palm into the leaves
+    press_m: float  # palm into the leaves; below 0 off them
     squeeze_m: float  # deepest phalanx of a finger into the leaves
 
 
@@ -118,6 +119,10 @@ def _grasp(
     phalanges = phalanges_in_palm(hand, flexions, np.tile(closing.abduction_rad, (steps, 1))) @ rotation.T + position
     depth = -_gap(phalanges, hand.phalanx_radius_m, leaves).min(axis=2)  # (steps, 5)
     deep = depth >= closing.squeeze_m
+    moves = (closing.fist_rad != closing.opened_rad).any(axis=1)
+    wraps = np.clip(depth.max(axis=0) / max(closing.squeeze_m, 1e-6), 0.0, 1.0)
+    # A finger that does not close is in the way if it touches.
+    hold = np.where(deep[0] | (~moves & (depth[0] > 0)), -1.0, np.where(moves, wraps, 0.0))
     # As deep as asked, else as deep as it gets, else a fist.
     reaches = np.where((depth > 0).any(axis=0), depth.argmax(axis=0), steps - 1)
     chosen = np.where(deep.any(axis=0), deep.argmax(axis=0), reaches)
@@ -125,7 +130,7 @@ def _grasp(
         position_m=position,
         rotation=rotation,
         flexion_rad=flexions[chosen, np.arange(5)],
-        hold=np.where(deep[0], -1.0, np.clip(depth.max(axis=0) / max(closing.squeeze_m, 1e-6), 0.0, 1.0)),
+        hold=hold,
         palmar=palmar,
         distal=distal,
         radial=radial,

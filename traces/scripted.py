@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from palmar.model import HandModel, SphereTree, load_pack
 from palmar.records import Trace, write_trace
 from palmar.traces.columns import nearest
 from palmar.traces.device import summarise
-from palmar.traces.keyframes import key_trace, min_jerk
+from palmar.traces.keyframes import MEMBERS, key_trace, min_jerk
 from palmar.traces.kinematics import Array
 from palmar.traces.place import Closing, Grasp, place_grasp
 from palmar.traces.scene_file import GraspScene, Sampled, cases_of, check_scene
@@ -90,6 +91,8 @@ def script_trace(scene: dict[str, Any], hand: HandModel, tree: SphereTree, seed:
         return key_trace(first, hand, seed)
     opened = np.array([p.thumb_open_rad, *[p.open_rad] * 4])
     fist = np.array([p.thumb_fist_rad, *[p.fist_rad] * 4])
+    stays = sorted({0, 1, 2, 3, 4} - {finger for which in p.fingers for finger in MEMBERS[which]})
+    fist[stays] = opened[stays]
     opened, fist = (np.clip(a, hand.flexion_limit_rad[..., 0], hand.flexion_limit_rad[..., 1]) for a in (opened, fist))
     abduction = np.clip(np.zeros(5), hand.abduction_limit_rad[:, 0], hand.abduction_limit_rad[:, 1])
     generator = np.random.default_rng(seed)
@@ -99,41 +102,23 @@ def script_trace(scene: dict[str, Any], hand: HandModel, tree: SphereTree, seed:
     closing = Closing(hand, opened, fist, abduction, p.press_m, p.squeeze_m)
     grasp = place_grasp(closing, tree.leaves, vary_m, vary_rad)
 
-    seconds = {"approach": p.approach_s, "close": p.close_s, "slide": p.slide_s, "hold": p.hold_s, "leave": p.leave_s}
-    counts = {name: round(s * p.rate_hz) for name, s in seconds.items()}
-    u = {name: (np.arange(n) / n)[:, None] for name, n in counts.items()}
     back = -(p.start_m + p.press_m) * grasp.palmar
-    held = grasp.position_m
-    turn_0 = np.zeros(3)
-
-    # Palm position, turn about the grasp (rotation vector) and closing from 0, open, to 1, grasped.
-    slide_m, slide_rad = _slide(p, grasp, sense, min_jerk(u["slide"]))
-    leave = min_jerk(u["leave"])
-    motion = {
-        "approach": (held + back * (1.0 - min_jerk(u["approach"])), turn_0, np.zeros((1, 1))),
-        "close": (held, turn_0, min_jerk(u["close"])),
-        "slide": (held + slide_m, slide_rad, np.ones((1, 1))),
-        "hold": (held, turn_0, np.ones((1, 1))),
-        "leave": (held + back * leave, turn_0, 1.0 - leave),
-    }
-    position, turn, closed = (
-        np.concatenate([np.broadcast_to(part[i], (counts[name], width)) for name, part in motion.items()])
-        for i, width in enumerate((3, 3, 1))
-    )
+    parts = [_phase(name, p, grasp, back, sense, closed) for name, closed in _closed_before(p.phases)]
+    position, turn, closed = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     rotation = np.roll((Rotation.from_rotvec(turn) * Rotation.from_matrix(grasp.rotation)).as_quat(), 1, axis=1)
     # One half of the quaternions, so that neighbours never differ by their sign.
     rotation *= np.where(rotation @ rotation[0] < 0, -1.0, 1.0)[:, None]
     flexion = opened + closed[:, :, None] * (grasp.flexion_rad - opened)
 
     count = len(position)
-    ends = np.cumsum(list(counts.values()))
+    ends = np.cumsum([len(part[0]) for part in parts])
     phases = [
         {
             "name": name,
-            "start_s": float((end - counts[name]) / p.rate_hz),
+            "start_s": float((end - len(part[0])) / p.rate_hz),
             "end_s": float(min(end, count - 1) / p.rate_hz),
         }
-        for name, end in zip(counts, ends, strict=True)
+        for name, part, end in zip(p.phases, parts, ends, strict=True)
     ]
     header = {
         "device": "script",
@@ -159,6 +144,37 @@ def script_trace(scene: dict[str, Any], hand: HandModel, tree: SphereTree, seed:
     )
 
 
+def _closed_before(phases: Sequence[str]) -> list[tuple[str, float]]:
+    """Each phase, and whether the hand is closed (1) or open (0) when it begins."""
+    closed, found = 0.0, []
+    for name in phases:
+        found.append((name, closed))
+        closed = {"close": 1.0, "open": 0.0}.get(name, closed)
+    return found
+
+
+def _phase(
+    name: str, p: GraspScene, grasp: Grasp, back: Array, sense: Array, closed: float
+) -> tuple[Array, Array, Array]:
+    """Palm position (n, 3), turn about the grasp (n, 3, rotation vector) and closing (n, 1) from 0, open, to 1."""
+    count = round(getattr(p, f"{name}_s") * p.rate_hz)
+    s = min_jerk((np.arange(count) / count)[:, None])
+    position, turn, closing = np.zeros((1, 3)), np.zeros((1, 3)), np.full((1, 1), closed)
+    if name == "approach":
+        position = back * (1.0 - s)
+    elif name == "close":
+        closing = s
+    elif name == "open":
+        closing = 1.0 - s
+    elif name == "slide":
+        position, turn = _slide(p, grasp, sense, s)
+    elif name == "leave":
+        position, closing = back * s, closed * (1.0 - s)
+    shapes = ((grasp.position_m + position, 3), (turn, 3), (closing, 1))
+    made = [np.broadcast_to(part, (count, width)) for part, width in shapes]
+    return made[0], made[1], made[2]
+
+
 def _slide(p: GraspScene, grasp: Grasp, sense: Array, s: Array) -> tuple[Array, Array]:
     """Once round a figure of eight along the surface, with a turn to and fro about the palm's normal; (n, 3) m and rad.
 
@@ -173,9 +189,15 @@ def _slide(p: GraspScene, grasp: Grasp, sense: Array, s: Array) -> tuple[Array, 
 
 
 def _sentences(p: GraspScene, grasp: Grasp) -> list[str]:
+    closes = {finger for which in p.fingers for finger in MEMBERS[which]}
+    pressed = (
+        f"The haptic palm is pressed {p.press_m * 1e3:g} mm into the leaf spheres"
+        if p.press_m >= 0
+        else f"The palm stays {-p.press_m * 1e3:g} mm off the leaf spheres"
+    )
     return [
         f"The palm starts {p.start_m * 1e3:g} mm from first contact, on the side where most fingers get hold.",
-        f"The haptic palm is pressed {p.press_m * 1e3:g} mm into the leaf spheres; {int((grasp.hold > 0).sum())} of 5 "
+        f"{pressed}; {int((grasp.hold > 0).sum())} of {len(closes)} "
         f"fingers reach the object by closing, until {p.squeeze_m * 1e3:g} mm deep or to the full fist.",
         "The object stands still at the origin.",
     ]
