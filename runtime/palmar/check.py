@@ -20,7 +20,7 @@ from palmar.eval.metrics import margin_db, measure, worst_margin
 from palmar.eval.table import METRICS
 from palmar.files import nearest
 from palmar.model import AssetPack, HandModel, SphereTree, load_pack, save_pack, write_whole
-from palmar.records import Run, read_run, write_trace
+from palmar.records import Run, Trace, read_run, read_trace, write_trace
 from palmar.replay import replay_file
 from palmar.tools.hand_file import default_hand
 from palmar.tools.lattice import scene_object
@@ -52,6 +52,7 @@ class Tally:
     figures: dict[str, float] = field(default_factory=dict)  # METRIC STAT -> the largest value
     contact_steps: dict[str, int] = field(default_factory=dict)  # of each case
     end_force_n: list[list[float]] = field(default_factory=list)  # of each run, the last on each fingertip
+    end_palm_m: list[list[float]] = field(default_factory=list)  # of each run, the last place of the palm shown
     why: str = ""
     moment: Row | None = None  # of the run that set the margin, if a matrix is to be drawn
 
@@ -72,11 +73,19 @@ class Tally:
         met = (run.contacts > 0) | (force_n > FELT_N)
         self.contact_steps[case] = self.contact_steps.get(case, 0) + int(met.sum())
         self.end_force_n.append(np.linalg.norm(run.fingertip_force_n[-1], axis=1).tolist())
+        self.end_palm_m.append(run.palm_position_m[-1].tolist())
 
-    def compare_ends(self, limit_n: float) -> None:
-        """Add how far the last forces of the runs are from those of the first, as a number with a limit."""
-        spread = float(np.abs(np.array(self.end_force_n) - self.end_force_n[0]).max())
-        self.take([_row("end_force_spread", "N", spread, limit_n)], "all cases", 0, ["end_force_spread value"])
+    def compare_ends(self, force_limit_n: float | None, place_limit_m: float | None) -> None:
+        """Add how far the last forces and places of the runs are from those of the first, where there is a limit."""
+        if force_limit_n is not None:
+            spread = float(np.abs(np.array(self.end_force_n) - self.end_force_n[0]).max())
+            self.take(
+                [_row("end_force_spread", "N", spread, force_limit_n)], "all cases", 0, ["end_force_spread value"]
+            )
+        if place_limit_m is not None:
+            apart_m = np.linalg.norm(np.array(self.end_palm_m) - self.end_palm_m[0], axis=1).max()
+            row = _row("end_place_spread", "mm", 1e3 * float(apart_m), 1e3 * place_limit_m)
+            self.take([row], "all cases", 0, ["end_place_spread value"])
 
     def take(self, rows: list[Row], case: str, start: int, asked: Sequence[str]) -> bool:
         """Add the rows of one run; whether it set a new worst margin."""
@@ -164,9 +173,8 @@ def check_scenes(
                 save_object(pack, hand, tree)
                 for tally in of_scene.values():
                     _run_case(Path(folder), pack, scene, case, tally, settings or {}, quick, out, runs)
-            if scene.same_end_force_n is not None:
-                for tally in of_scene.values():
-                    tally.compare_ends(scene.same_end_force_n)
+            for tally in of_scene.values():
+                tally.compare_ends(scene.same_end_force_n, scene.same_end_m)
             tallies += of_scene.values()
             for tally in of_scene.values():
                 say(tally.line())
@@ -211,6 +219,8 @@ def _run_case(
             rows.append(_row("end_offset", "mm", 1e3 * float(apart_m), 1e3 * scene.end_offset_m))
         if scene.settled_after_steps is not None:
             rows.append(_settled_row(Case(run, pack, "object"), scene.settled_after_steps))
+        if scene.force_gone_after_s is not None:
+            rows.append(_lost_force_row(run, read_trace(files_of(folder)[0]), scene.force_gone_after_s))
         tally.see(run, case)
         if tally.take(rows, case, start, scene.figures) and out is not None:
             assert tally.worst is not None
@@ -270,6 +280,15 @@ def _settled_row(case: Case, steps: int) -> Row:
     return _row("settled_force_step", "N", float(changes[still].max(initial=0.0)), 0.0)
 
 
+def _lost_force_row(run: Run, samples: Trace, after_s: float) -> Row:
+    """Largest force on a fingertip or the palm in steps farther than after_s from the last tracked sample."""
+    tracked_s = samples.time_s[samples.tracked]
+    since_s = run.time_s - tracked_s[np.maximum(np.searchsorted(tracked_s, run.time_s, side="right") - 1, 0)]
+    force_n = np.linalg.norm(np.hstack([run.fingertip_force_n.reshape(-1, 15), run.palm_force_n]), axis=1)
+    lost = since_s > after_s + 1e-9  # rounding of the times
+    return _row("lost_force", "N", float(force_n[lost].max(initial=0.0)), 0.0)
+
+
 def _row(name: str, unit: str, value: float, limit: float) -> Row:
     """A number that a scene asks for beside those of eval, in the form of theirs."""
     found = {"metric": name, "stat": "value", "unit": unit, "value": value, "limit": limit}
@@ -281,7 +300,7 @@ def _told(tally: Tally) -> dict[str, Any]:
     told = dict(vars(tally))
     told["margin_db"] = tally.margin_db if abs(tally.margin_db) < float("inf") else None
     told["passed"], told["untouched"] = tally.passed, tally.untouched
-    del told["end_force_n"], told["moment"]
+    del told["end_force_n"], told["end_palm_m"], told["moment"]
     return told
 
 
