@@ -66,7 +66,7 @@ DEVICES: dict[str, Device] = {
     ),
     "opengloves": Device(read_opengloves, "the raw bytes in a recording of `palmar record`", ["device_bytes"]),
     "isaac-teleop": Device(
-        read_isaac_teleop, "MCAP recordings of NVIDIA's Isaac Teleop: 26 OpenXR joints a hand", [], (".mcap",)
+        read_isaac_teleop, "MCAP recordings of NVIDIA's Isaac Teleop: 26 OpenXR joints a hand", []
     ),
     "samples": Device(
         read_samples, "samples that `palmar export` wrote, as CSV, JSON or Parquet", SAMPLE_COLUMNS, (".parquet",)
@@ -177,8 +177,8 @@ def _guess_format(path: Path) -> str:
     """The format whose columns share most names with the header row; its reader then names what is misspelt."""
     if path.suffix == ".json":
         return _guess_json(path)
-    if path.suffix == ".mcap":
-        return "opengloves" if _is_ours(path) else "isaac-teleop"
+    if path.suffix == ".mcap" and not _is_ours(path):
+        return "isaac-teleop"
     for name, device in DEVICES.items():
         if path.suffix in device.endings:
             return name
