@@ -66,7 +66,9 @@ def test_the_products_solver_keeps_the_limits_where_the_published_one_ends_behin
     assert on_far_side(case.shape, far_side_of(behind))[-1]
 
 
-@pytest.mark.parametrize("name", ["concave_notch", "start_inside", "object_hits_hand", "straight_finger", "dropout"])
+@pytest.mark.parametrize(
+    "name", ["concave_notch", "start_inside", "object_hits_hand", "straight_finger", "dropout", "clock_leaps"]
+)
 def test_a_quick_part_of_the_suite_holds(run, name):
     code, out, errors = run("check", name, "--quick", "--json")
     assert (code, errors) == (0, [])
@@ -80,6 +82,25 @@ def test_a_scene_in_which_the_hand_meets_nothing_shows_nothing_and_fails(run, tm
     assert run("check", "near.toml")[0] == 0
     code, out, _ = run("check", "far.toml")
     assert code == 1 and "no contact in 1 cases" in out
+
+
+def test_forces_have_to_be_gone_and_ends_have_to_be_equal_where_a_scene_asks_for_it(run, tmp_path):
+    text = MY_SCENE.format(why="a scene of the tests " * 5, z=0.0)
+    lost = 'disturbance = [{ kind = "dropped", at_s = 0.15, for_s = 0.14 }]\nmetrics'
+    # A replay holds the last sample for 0.1 s; only then forces fade.
+    (tmp_path / "lost.toml").write_text(text.replace("metrics", f"force_gone_after_s = 0.05\n{lost}"))
+    code, out, _ = run("check", "lost.toml")
+    assert code == 1 and "lost_force value" in out
+    sweep = 'sweep = [{ "disturbance" = [[], [{ kind = "doubled" }], SECOND] }]\nmetrics'
+    for second, same in (
+        ('[{ kind = "clock", by_s = -1.0, at_s = 0.1 }]', True),
+        ('[{ kind = "spike", move_m = [0.02, 0.0, 0.0] }]', False),
+    ):
+        (tmp_path / "ends.toml").write_text(
+            text.replace("metrics", "same_end_m = 1e-6\n" + sweep.replace("SECOND", second))
+        )
+        code, out, _ = run("check", "ends.toml")
+        assert (code == 0) == same and ("FAILS 1: end_place_spread value" in out) != same, out
 
 
 def test_the_worst_run_of_a_scene_is_kept_with_its_pack_and_trace(run, tmp_path):
