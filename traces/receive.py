@@ -144,10 +144,10 @@ def _gaps(time_s: Array) -> dict[str, Any]:
 
 
 def _stuck(trace: Trace) -> list[str]:
-    """A sentence for each joint that says one number for two seconds while another joint moves."""
+    """A sentence on joints that move, and say one number for two seconds while another joint moves."""
     found = []
     flexion = trace.flexion_rad.reshape(-1, 15)
-    for joint in range(15):
+    for joint in np.flatnonzero(np.ptp(flexion, axis=0) > MOVED_RAD).tolist():
         edges = [0, *(np.flatnonzero(np.diff(flexion[:, joint])) + 1).tolist(), len(flexion)]
         longest = max(pairwise(edges), key=lambda run: trace.time_s[run[1] - 1] - trace.time_s[run[0]])
         lasts_s = trace.time_s[longest[1] - 1] - trace.time_s[longest[0]]
@@ -156,4 +156,4 @@ def _stuck(trace: Trace) -> list[str]:
             found.append(f"{FINGERS[joint // 3]} {JOINTS[joint % 3]} for {lasts_s:.3g} s")
     if not found:
         return []
-    return [f"Stuck, or not read by the device, while other joints move: {', '.join(found)}."]
+    return [f"Stuck while other joints move: {', '.join(found)}."]

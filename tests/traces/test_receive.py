@@ -87,9 +87,10 @@ def test_gaps_are_counted_and_a_stuck_joint_is_named():
     kept = np.array([*range(100), *range(130, 500)])
     stuck = said.flexion_rad.copy()
     stuck[150:400, 1, 1] = stuck[150, 1, 1]
+    stuck[:, 4] = 0.3  # never moves: not stuck, but not used
     _, counts, sentences = receive(said.time_s[kept], take_rows(replace(said, flexion_rad=stuck), kept))
     assert counts == {"gaps": 1, "longest gap, ms": 310.0}
-    assert sentences == ["Stuck, or not read by the device, while other joints move: index PIP for 2.49 s."]
+    assert sentences == ["Stuck while other joints move: index PIP for 2.49 s."]
 
 
 def test_a_stream_without_a_pose_is_refused():
