@@ -1,6 +1,9 @@
 """Logs of any device by a map of their columns: the numbers that come out, and every mistake in map or log by name."""
 
 import json
+import re
+import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from palmar.errors import BadTrace, PalmarError
 from palmar.model import FINGERS
 from palmar.records import read_trace
 from palmar.tools.hand_file import default_hand
+from palmar.traces.column_map import read_column_map
 from palmar.traces.device import import_file
 
 ROWS = 20
@@ -130,6 +134,14 @@ def test_a_log_is_repaired_only_when_the_map_says_so_and_every_change_is_counted
     assert answer["changed"] == {"late or double": 2, "not a pose": 3}
     assert len(trace.time_s) == ROWS - 2 and np.flatnonzero(~trace.tracked).tolist() == [3, 5, 6]
     assert json.loads(trace.header["changed"]) == answer["changed"]
+
+
+def test_the_map_of_the_document_is_one(tmp_path):
+    text = (Path(__file__).parents[2] / "docs" / "traces.md").read_text()
+    block = re.search(r"a map of its columns\n((?:    [^\n]*\n|\n)+)", text)
+    (tmp_path / "glove.toml").write_text(textwrap.dedent(block[1]))
+    columns = read_column_map(tmp_path / "glove.toml")
+    assert columns.columns[:2] == ["ms", "valid"] and columns.flexion["middle"].joints == ["PIP", "MCP"]
 
 
 @pytest.mark.parametrize(
