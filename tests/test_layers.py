@@ -10,7 +10,18 @@ SOURCE = TOP / "runtime" / "src"
 STAGES = ("tools", "traces", "eval")
 # Only these files of the package root know the stages.
 KNOW_ALL = (
-    *("cli_make", "cli_trace", "cli_judge", "cli_check", "calibrate", "importing", "recording", "demo", "check", "golden"),
+    *(
+        "cli_make",
+        "cli_trace",
+        "cli_judge",
+        "cli_check",
+        "calibrate",
+        "importing",
+        "recording",
+        "demo",
+        "check",
+        "golden",
+    ),
     *("chart", "chart_inputs", "compare"),
 )
 # An include goes to an earlier row only, or to the file's own header.

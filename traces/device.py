@@ -65,9 +65,7 @@ DEVICES: dict[str, Device] = {
         read_optical_glove, "motion capture of a glove: three markers on the back, two a finger", OPTICAL_COLUMNS
     ),
     "opengloves": Device(read_opengloves, "the raw bytes in a recording of `palmar record`", ["device_bytes"]),
-    "isaac-teleop": Device(
-        read_isaac_teleop, "MCAP recordings of NVIDIA's Isaac Teleop: 26 OpenXR joints a hand", []
-    ),
+    "isaac-teleop": Device(read_isaac_teleop, "MCAP recordings of NVIDIA's Isaac Teleop: 26 OpenXR joints a hand", []),
     "samples": Device(
         read_samples, "samples that `palmar export` wrote, as CSV, JSON or Parquet", SAMPLE_COLUMNS, (".parquet",)
     ),
