@@ -84,6 +84,7 @@ Candidates::Candidates(int per_link_)
 void Candidates::forget() {
   count.fill(0);
   margin.fill(-1.0);
+  unfinished.link = -1;
 }
 
 int Candidates::total() const { return std::accumulate(count.begin(), count.end(), 0); }

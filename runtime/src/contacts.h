@@ -62,6 +62,16 @@ struct Candidates {
   std::vector<Near> near;
   std::vector<Node> nodes;
 
+  // A search whose operations ended before it knew anything: what it had in the scratch, to go on from there as long as
+  // the link stays where it is and nothing else is searched for.
+  struct Unfinished {
+    int link = -1;
+    HandPlacement at;
+    double margin;  // that it was asked for
+    float limit;
+    int pairs, nodes;
+  } unfinished;
+
   // The list of a link at a placement: the first `pairs` in `near`.
   void put(const HandModel& hand, const CollisionObject& object, const HandPlacement& at, int link, int pairs,
            double margin_m);

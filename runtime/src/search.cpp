@@ -68,6 +68,7 @@ struct Search {
   float limit;
   std::uint32_t operations = 0;
   int pairs = 0, nodes = 0;
+  bool stopped = false;  // by the operations
 
   static bool later(const Candidates::Node& a, const Candidates::Node& b) {
     if (a.gap != b.gap) return a.gap > b.gap;
@@ -124,7 +125,7 @@ struct Search {
     alignas(64) float gap[kWide];
     while (nodes > 0 && out.nodes[0].gap < limit) {
       if (operations >= limits.operations) {
-        limit = out.nodes[0].gap;
+        stopped = true;
         break;
       }
       const Candidates::Node next = out.nodes[0];
@@ -145,10 +146,22 @@ struct Search {
       }
       operations += std::uint32_t(hits);
     }
+  }
+
+  // Up to where everything is known.
+  float known() const { return stopped ? std::min(limit, out.nodes[0].gap) : limit; }
+
+  void finish() {
+    limit = known();
     if (pairs > out.per_link) keep(out.per_link);
     drop_beyond_limit();
   }
 };
+
+bool same_place(const HandPlacement& a, const HandPlacement& b, int link) {
+  if (link == 0) return a.position == b.position && a.rotation == b.rotation;
+  return a.phalanx[link - 1].c1 == b.phalanx[link - 1].c1 && a.phalanx[link - 1].c2 == b.phalanx[link - 1].c2;
+}
 
 // Pairs of palm and object: the tree against each group of the palm's spheres.
 void find_palm(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
@@ -162,9 +175,6 @@ void find_palm(const HandModel& hand, const PalmGroups& palm, const CollisionObj
   frame.rounding = float(2 * query_rounding(at.position, size));
 
   alignas(64) float pair[kWide * kWide];
-  search.operations += std::uint32_t(palm.groups.size());
-  for (std::uint32_t g = 0; g < palm.groups.size(); ++g)
-    search.add_node(-std::numeric_limits<float>::infinity(), object.tree.root(), g);
   search.run(
       [&](const WideNode& node, const WideSlabs* slabs, std::uint32_t g, float* gap) {
         const PalmGroups::Group& group = palm.groups[g];
@@ -222,12 +232,23 @@ PalmGroups::PalmGroups(const HandModel& hand) {
 
 void gather_link(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
                  int link, double margin, Candidates& out, std::uint32_t& operations, const SearchLimits& limits) {
+  const Candidates::Unfinished begun = out.unfinished;
+  const bool resumes = begun.link == link && same_place(begun.at, at, link);
+  out.unfinished.link = -1;
+  if (resumes) margin = begun.margin;
   const float asked = std::nextafter(float(margin), std::numeric_limits<float>::infinity());
   Search search{object.tree, out, limits, asked};
+  if (resumes) {
+    search.limit = begun.limit, search.pairs = begun.pairs, search.nodes = begun.nodes;
+  } else {
+    const std::uint32_t roots = link > 0 ? 1 : std::uint32_t(palm.groups.size());
+    search.operations += roots;
+    for (std::uint32_t g = 0; g < roots; ++g)
+      search.add_node(-std::numeric_limits<float>::infinity(), object.tree.root(), g);
+  }
   if (link > 0) {
     const Capsule& c = at.phalanx[link - 1];
     const SphereQuery query = capsule_query(c.c1, c.c2, c.r1, c.r2, 0.0);
-    search.add_node(-std::numeric_limits<float>::infinity(), object.tree.root(), 0);
     search.run(
         [&](const WideNode& node, const WideSlabs* slabs, std::uint32_t, float* gap) {
           node_gaps(node, query, gap);
@@ -241,6 +262,11 @@ void gather_link(const HandModel& hand, const PalmGroups& palm, const CollisionO
     find_palm(hand, palm, object, at, search);
   }
   operations += search.operations;
+  if (search.stopped && search.known() <= 0) {
+    out.unfinished = {link, at, margin, search.limit, search.pairs, search.nodes};
+    return;
+  }
+  search.finish();
   const double found = search.limit < asked ? double(search.limit) : margin;
   // A search that ended early may know less than the list that was.
   if (found > room_of(hand, out, at, link)) out.put(hand, object, at, link, search.pairs, found);

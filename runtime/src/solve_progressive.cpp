@@ -78,11 +78,8 @@ bool gather(const Scene& scene, const HandPlacement& haptic, SolverState& state,
     if (room_of(scene.hand, work.candidates, state.placement, link) >= reach[link]) reach[link] = 0;
     links += reach[link] > 0;
   }
-  bool complete = true;
   std::uint32_t left = work.left() / 4 * 3;
-  // The palm, whose search is the dearest, last: it may have what the others left.
-  for (int link = kLinks; link-- > 0;) {
-    if (reach[link] == 0) continue;
+  const auto renew = [&](int link, std::uint32_t operations_most) {
     double margin = reach[link] + std::min(kAhead * reach[link], kAheadMost);
     // Where spheres lie dense it looks less far, by what the last list was like: cost follows the length of the lists.
     const int had = work.candidates.count[link];
@@ -90,13 +87,26 @@ bool gather(const Scene& scene, const HandPlacement& haptic, SolverState& state,
       margin = std::min(margin, std::max(s.reach_least_m, work.candidates.margin[link] * kEnough / had));
     const std::uint32_t before = work.operations;
     gather_link(scene.hand, scene.palm, scene.object, state.placement, link, margin, work.candidates, work.operations,
-                {s.reach_least_m, kEnough, left / std::uint32_t(links-- + (link > 0 ? kPalmShares : 0))});
+                {s.reach_least_m, kEnough, operations_most});
     evaluate_gaps(scene.hand, work.candidates, state.placement, link, work.gap.data(), kLook, work.operations);
     left -= std::min(left, work.operations - before);
     work.active_count = 0;  // its numbers are places in the lists that were
-    complete &= work.candidates.margin[link] > 0;
     if (work.candidates.margin[link] < reach[link])
       state.reach[link] = std::max(work.candidates.margin[link], s.reach_least_m);
+    return room_of(scene.hand, work.candidates, state.placement, link) > 0;
+  };
+  bool complete = true;
+  // What the last step's operations did not suffice for goes on first, and alone until it is done.
+  const int unfinished = work.candidates.unfinished.link;
+  if (unfinished >= 0 && reach[unfinished] > 0) {
+    complete = renew(unfinished, left);
+    reach[unfinished] = 0;
+    --links;
+  }
+  // The palm, whose search is the dearest, last: it may have what the others left.
+  for (int link = kLinks; link-- > 0 && complete;) {
+    if (reach[link] == 0) continue;
+    complete = renew(link, left / std::uint32_t(links-- + (link > 0 ? kPalmShares : 0)));
   }
   work.search_us += microseconds_since(start);
   return complete;
