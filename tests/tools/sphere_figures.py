@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from palmar.tools.cover import exposed_skin, level_errors
-from palmar.tools.dual_bound import least_spheres
+from palmar.tools.dual_bound import MOST_BALLS, least_spheres
 from palmar.tools.hierarchy import search
 from palmar.tools.mesh import read_mesh
 from palmar.tools.sphere_tree import MODES, build_levels
@@ -99,7 +99,9 @@ def row(path, wanted, mode, seed, bound, each_level):
     if each_level:
         print_levels(path.stem, level_errors(levels, mesh.vertices_m, mesh.faces, seed + 90))
     if bound and wanted["error_m"]:
-        figures["/ bound"] = len(leaves) / least_spheres(mesh.vertices_m, mesh.faces, wanted["error_m"], leaves, seed)
+        few = len(leaves) <= MOST_BALLS
+        least = least_spheres(mesh.vertices_m, mesh.faces, wanted["error_m"], leaves, seed) if few else float("nan")
+        figures["/ bound"] = len(leaves) / least
     return figures
 
 
