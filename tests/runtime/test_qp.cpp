@@ -13,13 +13,13 @@ namespace {
 
 constexpr double kTolerance = 1e-9;  // metres, of a row
 
-QpResult solve(const Programme& p, int limit = 2000) {
+QpResult solve(const Programme& p, int limit = 2000, const QpStart& start = {}) {
   std::vector<double> scratch(4000);
   QpProblem problem = p.problem;
   ArrowMatrix h = p.bend;
   for (int v = 0; v < kVariables; ++v) h.add_diagonal(v, 1.0 / p.inverse_weight[v]);
   CHECK(Metric::of(h, Change{}, problem.metric));
-  return solve_qp(problem, p.rows, kTolerance, limit, scratch.data());
+  return solve_qp(problem, p.rows, kTolerance, limit, scratch.data(), start);
 }
 
 bool feasible(const Programme& p, const Change& x) {
@@ -64,6 +64,30 @@ double stationarity(const Programme& p, const QpResult& r) {
   return worst / largest;
 }
 
+void check_answer(const Programme& p, const QpResult& r, bool has_answer) {
+  CHECK((r.status == QpStatus::solved) == has_answer);
+  if (!has_answer) {
+    CHECK(r.status == QpStatus::infeasible);
+    return;
+  }
+  CHECK(feasible(p, r.x));
+  CHECK(stationarity(p, r) <= 1e-6);
+  for (int j = 0; j < r.active; ++j) {
+    CHECK(r.multiplier[j] >= 0);
+    const int row = r.active_row[j];
+    if (row >= 0) CHECK_NEAR(made::row_value(p, row, r.x), p.rows.b[row], 1e-7);
+  }
+}
+
+// Any rows and bounds, also one twice.
+QpStart random_start(std::mt19937& rng, const Programme& p) {
+  QpStart start;
+  start.count = std::uniform_int_distribution<int>(1, kVariables)(rng);
+  for (int k = 0; k < start.count; ++k)
+    start.row[k] = std::uniform_int_distribution<int>(-2 * kVariables, std::max(p.rows.count - 1, -1))(rng);
+  return start;
+}
+
 nlohmann::json line(const char* family, const Programme& p, const QpResult& r) {
   nlohmann::json rows = nlohmann::json::array();
   for (int i = 0; i < p.rows.count; ++i) {
@@ -103,6 +127,8 @@ nlohmann::json line(const char* family, const Programme& p, const QpResult& r) {
 
 int main(int argc, char** argv) {
   const bool lines = argc > 1 && std::strcmp(argv[1], "--lines") == 0;
+  std::mt19937 starts(6);
+  int most_iterations = 0;
   for (const made::Family& family : made::families()) {
     std::mt19937 rng(4);
     for (int trial = 0; trial < family.count; ++trial) {
@@ -113,22 +139,20 @@ int main(int argc, char** argv) {
         continue;
       }
       const int before = checks_failed;
-      CHECK((r.status == QpStatus::solved) == family.has_answer);
-      if (!family.has_answer) {
-        CHECK(r.status == QpStatus::infeasible);
-      } else {
-        CHECK(feasible(p, r.x));
-        CHECK(stationarity(p, r) <= 1e-6);
-        for (int j = 0; j < r.active; ++j) {
-          CHECK(r.multiplier[j] >= 0);
-          const int row = r.active_row[j];
-          if (row >= 0) CHECK_NEAR(made::row_value(p, row, r.x), p.rows.b[row], 1e-7);
-        }
+      check_answer(p, r, family.has_answer);
+      // Where it begins changes the way and not the answer; from what holds the answer there is no way to go.
+      QpStart held{r.active_row, r.active};
+      if (family.has_answer) {
+        const QpResult again = solve(p, 2000, held);
+        check_answer(p, again, true);
+        most_iterations = std::max(most_iterations, again.iterations);
       }
+      for (int k = 0; k < 3; ++k) check_answer(p, solve(p, 2000, random_start(starts, p)), family.has_answer);
       if (checks_failed > before) std::printf("  %s, number %d\n", family.name, trial);
     }
   }
   if (lines) return 0;
+  CHECK(most_iterations == 0);
 
   // A bound of the iterations is kept, whatever it is.
   std::mt19937 rng(5);
