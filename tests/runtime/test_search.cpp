@@ -100,6 +100,31 @@ int main() {
   CHECK(pairs > 1000);
   CHECK(shrunk > 10);
 
+  // A search with too few operations goes on at the next call, and in the end knows what one without a bound knows.
+  int calls = 0, alone = 0, nearer = 0;
+  for (int trial = 0; trial < 100; ++trial) {
+    Candidates all(4096), bounded(4096);
+    const HandPlacement at = place_hand(hand, made::random_configuration(rng, 0.03));
+    std::uint32_t operations = 0;
+    for (int link = 0; link < kLinks; ++link) {
+      gather_link(hand, palm, object, at, link, 0.003, all, operations);
+      for (++alone; bounded.margin[link] < 0 && calls < 100000; ++calls)
+        gather_link(hand, palm, object, at, link, 0.003, bounded, operations, {.operations = 20});
+      CHECK(bounded.margin[link] > 0);
+      std::set<std::array<std::uint32_t, 2>> known;
+      for (int i = bounded.begin(link); i < bounded.end(link); ++i)
+        known.insert({bounded.object_sphere[i], bounded.palm_sphere[i]});
+      std::vector<double> gap(std::size_t(all.size()));
+      evaluate_gaps(hand, all, at, link, gap.data(), 1.0, operations);
+      for (int i = all.begin(link); i < all.end(link); ++i) {
+        if (gap[std::size_t(i)] >= bounded.margin[link] - 1e-12) continue;  // lists' own gaps differ by rounding
+        ++nearer;
+        CHECK(known.contains(std::array<std::uint32_t, 2>{all.object_sphere[i], all.palm_sphere[i]}));
+      }
+    }
+  }
+  CHECK(calls > alone && nearer > 100);
+
   // A palm of thousands of spheres: every pair within the margin is found.
   {
     HandModel many = made::hand();
