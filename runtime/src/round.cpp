@@ -15,8 +15,8 @@ constexpr double kBend = 0.015;         // metres: with curvature, a move by m l
 constexpr double kWithout = 0.1;        // without it about this share of m
 constexpr double kRowTolerance = 1e-9;  // metres, to which a programme meets its rows
 constexpr double kLeastAim = 10 * kRowTolerance;
-constexpr int kAttempts = 3;                     // trial poses along one direction: all of it, a quarter, a sixteenth
-constexpr std::uint32_t kVerifyOperations = 75;  // but for the gaps
+constexpr int kAttempts = 3;                         // trial poses along one direction: all of it and two shorter
+constexpr std::uint32_t kVerifyOperations = 75;      // but for the gaps
 constexpr std::uint32_t kProgrammeOperations = 225;  // but for
 constexpr std::uint32_t kRowOperations = 4;          // each row, and
 constexpr std::uint32_t kIterationOperations = 36;   // each iteration but for its rows
@@ -107,6 +107,7 @@ double Round::near_limit(int link, const double* gap) const {
   return limit;
 }
 
+// Rows, joint limits and step bounds that held the last programme's answer and are in this one as well.
 QpStart Round::held_by(const Change& lower) const {
   QpStart start;
   for (int k = 0; k < state.pressing_count; ++k) {

@@ -51,8 +51,7 @@ struct Round {
   const GapShape& shape_of(const Pressing& p);
   QpResult programme(const HandPlacement& at, const Configuration& q, const double* gap, const Metric& metric,
                      const Change& wish, const PerLink& allowed, const PerLink& near, double aim, bool push_out);
-  QpStart held_by(
-      const Change& lower) const;  // of the last programme's active rows and bounds, those that are in this one
+  QpStart held_by(const Change& lower) const;
   bool want_more_rows(const PerLink& near);
   void want_none();
   bool restore(const PerLink& allowed);
