@@ -5,25 +5,11 @@ import re
 from itertools import product
 
 import numpy as np
-import pytest
 
-from palmar import chart, cli
+from palmar import chart
 from palmar.noise import noise_note
 from palmar.records import Trace, write_trace
 from palmar.traces.fingers import IN_USE, with_fingers
-
-
-@pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
-    """Run a command line in an empty folder; gives the exit code, stdout and the lines of stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def run_line(*arguments):
-        code = cli.run([str(argument) for argument in arguments])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err.splitlines()
-
-    return run_line
 
 
 def make_trace(n=300):

@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from palmar import cli
 from palmar.eval.case import Case
 from palmar.eval.energy import energy_generated
 from palmar.eval.far_side import far_side_of, on_far_side
@@ -34,19 +33,6 @@ after_s = 0.2
 [[key]]
 after_s = 0.1
 """
-
-
-@pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
-    """Run a command line in an empty folder; gives the exit code, stdout and the lines of stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def run_line(*arguments):
-        code = cli.run([str(argument) for argument in arguments])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err.splitlines()
-
-    return run_line
 
 
 def test_the_products_solver_keeps_the_limits_where_the_published_one_ends_behind_the_plate(run, tmp_path):

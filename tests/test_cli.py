@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from palmar import _runtime, cli
+from palmar import _runtime
 from palmar.files import sha256_of
 from palmar.model import load_pack
 from palmar.records import Trace, read_run, read_trace, write_trace
@@ -44,19 +44,6 @@ def files(tmp_path_factory):
     content = (folder / "whole.mcap").read_bytes()
     (folder / "cut.mcap").write_bytes(content[: len(content) * 6 // 10])
     return folder
-
-
-@pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
-    """Run a command line in an empty folder; gives the exit code, stdout and the lines of stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def run_line(*arguments):
-        code = cli.run([str(argument) for argument in arguments])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err.splitlines()
-
-    return run_line
 
 
 def test_each_mistake_is_one_line_with_exit_code_2_and_nothing_written(run, files, tmp_path):

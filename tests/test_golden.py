@@ -8,25 +8,12 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pytest
 
-from palmar import cli, golden
+from palmar import golden
 from palmar.model import load_pack, save_pack
 from palmar.records import read_trace, write_trace
 from palmar.tools.hand_file import default_hand
 
 SCENES = ("concave_notch", "limits_against_contact")
-
-
-@pytest.fixture
-def run(capsys, tmp_path, monkeypatch):
-    """Run a command line in an empty folder; gives the exit code, stdout and the lines of stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def run_line(*arguments):
-        code = cli.run([str(argument) for argument in arguments])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err.splitlines()
-
-    return run_line
 
 
 @pytest.fixture
