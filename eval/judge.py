@@ -218,9 +218,10 @@ def _that_may_matter(
     gaps: of the pairs at start. A pair whose link has moved by m since then has a gap of at least its first less m.
     """
     moved = _norm(points[start:end] - points[start]).max(axis=1)
-    nearest_first = np.argsort(gaps)
+    near = np.flatnonzero(gaps - moved.max() < least[start:end].max())
+    nearest_first = near[np.argsort(gaps[near])]
     done, size = 0, FIRST_PAIRS
-    while done < len(gaps):
+    while done < len(nearest_first):
         at = start + np.flatnonzero(gaps[nearest_first[done]] - moved < least[start:end])
         if not len(at):
             return
