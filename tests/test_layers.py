@@ -23,6 +23,7 @@ KNOW_ALL = (
         "golden",
     ),
     *("chart", "chart_inputs", "compare"),
+    *("lean", "tune", "tune_beyond", "tune_cells", "tune_search", "cli_tune"),
 )
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [
@@ -60,7 +61,7 @@ DOORS = {
     "trimesh": ["eval/view3d.py", *(f"tools/{name}.py" for name in ("close", "mesh", "moved", "painted"))],
     "typer": [
         f"runtime/palmar/cli{name}.py"
-        for name in ("", "_app", "_calibrate", "_make", "_record", "_trace", "_judge", "_check", "_chart")
+        for name in ("", "_app", "_calibrate", "_make", "_record", "_trace", "_judge", "_check", "_chart", "_tune")
     ],
 }
 OF_FUNCTIONS = {"open3d", "pyarrow", "pyvista"}

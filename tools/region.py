@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from palmar.errors import BadMesh, BadPack
 from palmar.records import read_run
+from palmar.seen import contact_points
 from palmar.tools.solid import Solid
 
 Array = NDArray[np.float64]
@@ -113,12 +114,7 @@ def _numbers(at: str, row: dict[str, str]) -> list[float]:
 
 def _touched(path: str | Path, share: float) -> tuple[Array, Array]:
     """Balls round the contacts of a run, in the object's frame."""
-    run = read_run(path)
-    step = np.repeat(np.arange(len(run.time_s)), np.diff(run.contact_start))
-    w, axis = run.object_rotation_wxyz[step, :1], -run.object_rotation_wxyz[step, 1:]
-    offset = run.contact_point_m - run.object_position_m[step]
-    turn = 2 * np.cross(axis, offset)
-    points = offset + w * turn + np.cross(axis, turn)
+    _, points = contact_points(read_run(path))
     if not len(points):
         raise BadPack("E-REGION", str(path), "the run has no contact; one that touches the object is needed")
     _, first = np.unique(np.floor(points / (_THINNED_MM / 1e3)).astype(np.int64), axis=0, return_index=True)

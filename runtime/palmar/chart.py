@@ -198,14 +198,14 @@ def levels_for(counts: Sequence[int], wanted: Sequence[int]) -> dict[int, int]:
 def run_jobs(jobs: Sequence[Job], asked: Asked, folder: Path, progress: Progress) -> tuple[list[Cell], dict[str, Any]]:
     """Judge and time what is not in `folder` yet; the cells, and what was found of the machine meanwhile."""
     folder.mkdir(parents=True, exist_ok=True)
-    keys = _keys(jobs)
+    keys = keys_of(jobs)
     _judge_all(jobs, keys, asked.jobs, folder, lambda text, part: progress(text, 0.6 * part))
-    kernels = _time_all(jobs, keys, asked, folder, lambda text, part: progress(text, 0.6 + 0.4 * part))
+    kernels = time_all(jobs, keys, asked, folder, lambda text, part: progress(text, 0.6 + 0.4 * part))
     cells = [_read(job, folder / key) for job, key in zip(jobs, keys, strict=True)]
     return cells, kernels
 
 
-def _keys(jobs: Sequence[Job]) -> list[str]:
+def keys_of(jobs: Sequence[Job]) -> list[str]:
     """A name for each replay that changes with whatever its answer depends on."""
     hashes = {path: sha256_of(Path(path)) for job in jobs for path in (job.pack, job.trace)}
     core = sha256_of(Path(_runtime.__file__))
@@ -246,7 +246,7 @@ def judge_job(job: Job) -> dict[str, Any]:
         return {"schema": "palmar.cell/1", "job": told, "judged": judge(run, pack, job.object)}
 
 
-def _time_all(
+def time_all(
     jobs: Sequence[Job], keys: Sequence[str], asked: Asked, folder: Path, progress: Progress
 ) -> dict[str, Any]:
     """Time every cell so often, in an order drawn anew for each repeat; the machine's own noise beside."""
@@ -301,11 +301,15 @@ def _keep(stem: Path, times: dict[str, Any], contacts: Any) -> None:
     write_whole(path, out.getvalue())
 
 
+def read_times(stem: Path) -> tuple[dict[str, Any], Any]:
+    """What `time_all` kept of a cell: CLOCKS -> (repeats, n) us, and contacts (n,)."""
+    with np.load(stem.with_suffix(".npz")) as kept:
+        return {clock: kept[clock].astype(np.float64) for clock in CLOCKS}, kept["contacts"].astype(np.int64)
+
+
 def _read(job: Job, stem: Path) -> Cell:
     judged = {} if job.in_use else json.loads(stem.with_suffix(".json").read_text())["judged"]
-    with np.load(stem.with_suffix(".npz")) as kept:
-        times = {clock: kept[clock].astype(np.float64) for clock in CLOCKS}
-        contacts = kept["contacts"].astype(np.int64)
+    times, contacts = read_times(stem)
     place = job.name, job.level, job.spheres, job.solver, job.quality, job.in_use
     return Cell(*place, judged, times, contacts)
 

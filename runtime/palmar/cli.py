@@ -15,7 +15,7 @@ from palmar.errors import PalmarError
 
 # isort: off
 # Each of these adds its verbs to the application; in this order they stand in the help.
-from palmar import cli_make, cli_calibrate, cli_record, cli_trace, cli_judge, cli_check, cli_chart  # noqa: F401
+from palmar import cli_make, cli_calibrate, cli_record, cli_trace, cli_judge, cli_check, cli_chart, cli_tune  # noqa: F401
 # isort: on
 
 BUG = 70

@@ -34,6 +34,8 @@ def replay(
     With --verify nothing is written: the exit code is 1 if any step of that run differs from what comes out now.
     """
     from palmar.files import lost_line, require_file, require_place
+    from palmar.lean import beyond_line, lean_settings
+    from palmar.model import load_pack
     from palmar.records import read_trace
     from palmar.replay import hand_warning, object_of, replay_file, require_side
     from palmar.show import print_replay
@@ -46,7 +48,7 @@ def replay(
     if out is None:
         raise PalmarError("E-USAGE", "palmar replay", "no --out (-o); the name of the run is needed, or --verify RUN")
     named = [f"solver={solver}", f"resample={resample}", *([f"level={level}"] if level is not None else [])]
-    settings = parse_pairs("--set", named) | parse_pairs("--set", setting or [])
+    own = parse_pairs("--set", named) | parse_pairs("--set", setting or [])
     require_file(pack)
     require_place(out)
     samples = read_trace(require_file(trace))
@@ -59,7 +61,11 @@ def replay(
         print(f"warning: {warning}", file=sys.stderr)
     with progress_bar(not json) as progress:
         name = name or object_of(samples, pack)
+        settings = lean_settings(load_pack(pack), name, own)
         answer = replay_file(pack, trace, out, object_name=name, settings=settings, progress=progress)
+    beyond = beyond_line(out, load_pack(pack), name)
+    if beyond:
+        print(f"warning: {beyond}", file=sys.stderr)
     print_json(answer) if json else print_replay(answer)
     return complain(damage, LOSS) if damage else 0
 

@@ -2,7 +2,26 @@
 
 #include <algorithm>
 
+#include "error.h"
+
 namespace palmar {
+
+std::uint32_t links_of(const std::string& parts) {
+  if (parts == "none") return 0;
+  static const std::string names[] = {"palm", "thumb", "index", "middle", "ring", "little"};
+  std::uint32_t links = 0;
+  for (std::size_t start = 0; start <= parts.size();) {
+    const std::size_t end = std::min(parts.find('+', start), parts.size());
+    const auto found = std::find(std::begin(names), std::end(names), parts.substr(start, end - start));
+    if (found == std::end(names))
+      throw Error("E-CONF-VALUE", "leave_out",
+                  "'" + parts + "'; none, or some of palm, thumb, index, middle, ring, little with + between them");
+    const int part = int(found - std::begin(names));
+    links |= part == 0 ? 1u : 7u << (1 + kPhalanges * (part - 1));
+    start = end + 1;
+  }
+  return links;
+}
 
 void HandModel::finish() {
   palm_low = palm_high = palm.front().center;

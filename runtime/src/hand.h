@@ -2,6 +2,8 @@
 #pragma once
 
 #include <array>
+#include <cstdint>
+#include <string>
 #include <vector>
 
 #include "algebra.h"
@@ -45,10 +47,15 @@ struct HandModel {
   double palm_rotation_stiffness = 10;  // N m / rad
   Vec3 palm_low, palm_high;             // box around the palm spheres' centres
   double reach = 0;                     // no point of the hand is farther from the palm's origin, in any pose
+  std::uint32_t left_out = 0;           // bit l: link l touches nothing
 
   // Fills the box, the levers and the reach from the rest.
   void finish();
 };
+
+// Links of parts named palm, thumb, index, middle, ring, little with + between them, as bits; none for "none". Throws
+// Error E-CONF-VALUE.
+std::uint32_t links_of(const std::string& parts);
 
 // The frustum's tapered capsule: spheres tangent to its side along the two rims (docs/formats.md).
 Capsule capsule_of_frustum(const Vec3& d, const Vec3& e, double r1, double r2);

@@ -9,6 +9,8 @@ namespace palmar {
 
 namespace {
 
+constexpr double kNever = 1e6;  // metres: no link goes so far from where its list was made
+
 // Halves a range of palm spheres along its longest side until sixteen or fewer are left.
 void add_groups(const HandModel& hand, std::uint32_t* begin, std::uint32_t* end, double slack,
                 std::vector<PalmGroups::Group>& groups) {
@@ -232,6 +234,10 @@ PalmGroups::PalmGroups(const HandModel& hand) {
 
 void gather_link(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
                  int link, double margin, Candidates& out, std::uint32_t& operations, const SearchLimits& limits) {
+  if (hand.left_out >> link & 1) {
+    out.put(hand, object, at, link, 0, kNever);
+    return;
+  }
   const Candidates::Unfinished begun = out.unfinished;
   const bool resumes = begun.link == link && same_place(begun.at, at, link);
   out.unfinished.link = -1;
@@ -281,10 +287,14 @@ bool is_free(const HandModel& hand, const PalmGroups& palm, const CollisionObjec
     return count > kTouching || std::any_of(found.begin(), found.begin() + count,
                                             [&](std::uint32_t i) { return gap_of(object.leaves[i]) < 0; });
   };
-  for (const Capsule& c : at.phalanx)
+  for (int link = 1; link < kLinks; ++link) {
+    const Capsule& c = at.phalanx[link - 1];
+    if (hand.left_out >> link & 1) continue;
     if (enters(capsule_query(c.c1, c.c2, c.r1, c.r2, 0.0),
                [&](const Sphere& s) { return capsule_sphere_gap(c, s.center, s.radius).gap; }))
       return false;
+  }
+  if (hand.left_out & 1) return true;
   for (const PalmGroups::Group& group : palm.groups) {
     if (object.tree.find(box_of(group, at), found.data(), kTouching, visited) == 0) continue;
     for (int k = 0; k < group.count; ++k) {

@@ -80,6 +80,7 @@ Session::Session(HandModel hand, std::vector<Sphere> object, Settings settings)
       work_(settings_),
       time_s_(std::numeric_limits<double>::quiet_NaN()),
       contacts_(kContactCapacity) {
+  hand_.left_out = links_of(settings_.leave_out);
   state_.placement = haptic_before_at_ = place_hand(hand_, state_.graphic);
 }
 

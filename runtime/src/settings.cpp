@@ -33,6 +33,7 @@ const std::vector<Key>& keys() {
       {"imposed_priority", &Settings::imposed_priority, 1e-3, 1e6},
       {"iterations", &Settings::iterations, 1, 1000},
       {"joint_step_rad", &Settings::joint_step_rad, 1e-4, 100},
+      {"leave_out", &Settings::leave_out, 0, 0},
       {"level", &Settings::level, -1, 64},
       {"object_jump_m", &Settings::object_jump_m, 1e-3, 1e3},
       {"operations", &Settings::operations, 10'000, 1'000'000'000},
@@ -100,6 +101,7 @@ Settings parse_settings(const std::string& json) {
   }
   if (settings.filter != "none" && settings.filter != "one_euro")
     throw Error("E-CONF-VALUE", "filter", "'" + settings.filter + "'; there are: none, one_euro");
+  links_of(settings.leave_out);
   if (settings.reach_least_m > std::min(settings.reach_most_m, settings.free_reach_m))
     throw Error("E-CONF-VALUE", "reach_least_m",
                 nlohmann::json(settings.reach_least_m).dump() + "; at most reach_most_m and free_reach_m");

@@ -41,6 +41,7 @@ struct Settings {
   std::string filter = "none";  // of the samples: none, one_euro
   double filter_cutoff_hz = 1;  // of one_euro at rest
   double filter_beta = 3;       // Hz by which its cutoff grows for each rad/s, or each 50 mm/s of the palm
+  std::string leave_out = "none";  // parts of the hand that touch nothing (links_of)
   double settled_m = 1e-7;      // a step that would move the hand less leaves it, bit for bit
 };
 
