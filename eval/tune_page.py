@@ -171,13 +171,13 @@ def _about(answer: dict[str, Any]) -> dict[str, str]:
         "full model": f"{answer['full']['pack']}, sha256 {answer['full']['sha256'][:16]}; {answer['mode']} spheres",
         "tuned on": ", ".join(answer["traces"]),
         "held out": ", ".join(answer["holdout"]) or "none; give some with --holdout",
-        "changed": "two of the traces it was tuned on, the first shifted along, or turned about, the x axis of the world, "
-        "the second the y axis",
+        "changed": "two of the traces it was tuned on, the first shifted along, or turned about, the x axis of the "
+        "world, the second the y axis",
         "numbers": "the worst of all traces, judged without the solver's code on the full model's mesh",
-        "differences": "between the lean and the full model's answer to a trace, means over the steps in which the full "
-        "one touches and over the traces: of the force on a fingertip or the palm, by the full one's, 2 N at least; of the "
-        "place of a fingertip or the palm. In the first column that of another fit of the full model, as fine, which "
-        "differs in nothing but where its spheres are; the limit is 7 % and 2 mm beyond",
+        "differences": "between the lean and the full model's answer to a trace, means over the steps in which the "
+        "full one touches and over the traces: of the force on a fingertip or the palm, by the full one's, 2 N at "
+        "least; of the place of a fingertip or the palm. In the first column those of another fit of the full model, "
+        "as fine, which differs in nothing but where its spheres are; the limits are 7 % and 2 mm beyond",
         "step times": f"CPU time of the steps in which the full model touches; cost: the least of {answer['repeats']} "
         "repeats of each step; tail: all of them as they came. All stages in one run, in an order drawn anew each time",
         "search": f"seed {answer['seed']}; by operations, not by the clock, so that it comes out the same everywhere",

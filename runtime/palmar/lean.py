@@ -40,7 +40,7 @@ def beyond_line(run: Run | Path, pack: AssetPack, name: str) -> str:
         near = part_gap(run, pack, name or next(iter(pack.objects)), tuned["left_out"]) * 1e3
         at = near.argmin()
         if near[at] < tuned["guard_mm"]:
-            parts, when = " and ".join(tuned["left_out"]), run.time_s[at] - run.time_s[0]
+            parts, when = ", ".join(tuned["left_out"]), run.time_s[at] - run.time_s[0]
             said.append(f"{parts}, left out of contact, come to {near[at]:.1f} mm from the mesh at {when:.2f} s")
     rest = f"; the pack promises {tuned['rest_mm']:.3g} mm there, not {tuned['fine_mm']:.3g}"
     return "; ".join(said) + (rest if found.any() else "") if said else ""

@@ -11,6 +11,7 @@ import numpy as np
 from palmar.model import AssetPack
 from palmar.records import Run, Trace
 from palmar.replay import count_status
+from palmar.seen import TUNED
 from palmar.terminal import cell, print_fields, print_table
 
 LEVEL_COLUMNS = ["object", "level", "spheres", "protrusion max mm", "p99", "mean", "gap max mm", "p99", "mean"]
@@ -195,6 +196,24 @@ def _print_pack(description: dict[str, Any]) -> None:
         print_table(CLOSING_COLUMNS, closed)
     print_table(LEVEL_COLUMNS, _level_rows(objects))
     _print_regions(objects)
+    _print_tuned(objects)
+
+
+def _print_tuned(objects: dict[str, Any]) -> None:
+    """Of a lean pack what it was tuned for."""
+    for name, about in objects.items():
+        if TUNED in about:
+            tuned = about[TUNED]
+            settings = " ".join(f"{key}={value}" for key, value in tuned["settings"].items())
+            fields = {
+                "tuned on": [f"{trace['name']} {trace['sha256'][:16]}" for trace in tuned["traces"]],
+                "instead of": f"{tuned['full_spheres']} spheres of {tuned['full_sha256'][:16]}",
+                "fine": f"{tuned['fine_mm']:.3g} mm where hands came within {tuned['guard_mm']:g} mm, "
+                f"{tuned['share_seen']:.0%} of the surface; {tuned['rest_mm']:.3g} mm elsewhere",
+                "left out": ", ".join(tuned["left_out"]) or "nothing of the hand",
+                "settings": settings or "the defaults",
+            }
+            print_fields({f"{name}: {key}": value for key, value in fields.items()})
 
 
 def _print_regions(objects: dict[str, Any]) -> None:

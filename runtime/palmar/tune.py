@@ -375,7 +375,7 @@ def _promise(answer: dict[str, Any]) -> list[str]:
         f"{answer['rest_mm']:.3g} mm of its mesh, so that a hand meets it, but not where it should."
     ]
     if answer["left_out"]:
-        said.append(f"{' and '.join(answer['left_out']).capitalize()} touch nothing at all.")
+        said.append(f"Left out, and touching nothing at all: {', '.join(answer['left_out'])}.")
     for row in answer["outside"]:
         if row["name"] in {stem_of(Path(name)) for name in answer["holdout"]}:
             said += [f"No promise for {line}." for line in row["outside"]]

@@ -175,7 +175,7 @@ def _leave_out(s: Search, stages: list[Stage]) -> list[Stage]:
     if not s.left_out:
         return []
     last = stages[-1]
-    what = f"{' and '.join(s.left_out)} out of contact"
+    what = f"{', '.join(s.left_out)} out of contact"
     model = last.trial.model
     changed = Model(model.pack, model.spheres, {**model.settings, "leave_out": "+".join(s.left_out)})
     trial = s.judge(what, changed, last.fine_mm)
