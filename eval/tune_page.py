@@ -63,6 +63,7 @@ def build_page(
         rest=f"{answer['rest_mm']:.3g}",
         outside_heads="".join(f'<th class="number">{_name(row)}</th>' for row in held),
         outside="".join(_outside(row, held, answer["holdout"]) for row in answer["outside"]),
+        outside_limits=_outside_limits(held),
         outside_hidden="" if answer["outside"] else "hidden",
         tried="".join(_tried(row) for row in answer["tried"]),
         about="".join(f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in _about(answer).items()),
@@ -137,6 +138,11 @@ def _limit(row: dict[str, Any], stages: Sequence[dict[str, Any]]) -> str:
 
 def _number(value: float | None, bad: bool = False) -> str:
     return f'<td class="number{" fail" if bad else ""}">{figure(value)}</td>'
+
+
+def _outside_limits(held: Sequence[dict[str, Any]]) -> str:
+    cells = "".join(_number(row["limit"]) for row in held)
+    return f'<tr class="limits"><td class="name">limit</td><td></td><td></td>{cells}</tr>'
 
 
 def _outside(row: dict[str, Any], held: Sequence[dict[str, Any]], holdout: Sequence[str]) -> str:

@@ -36,6 +36,9 @@ def tuned(tmp_path_factory):
     folder = tmp_path_factory.mktemp("tune")
     write_bar(folder / "bar.obj")
     down = make_trace(120)
+    # So that fingers close on the bar, and the palm stays off it.
+    place = down.palm_position_m - np.array([0, 0.1, 0])
+    down = replace(down, flexion_rad=2 * down.flexion_rad, palm_position_m=place)
     write_trace(folder / "down.mcap", down)
     write_trace(folder / "far.mcap", replace(down, palm_position_m=down.palm_position_m + np.array([FAR, 0, 0])))
     line = ["build", folder / "bar.obj", "--units", "m", "--error-mm", "0.7", "-o", folder / "bar.pack"]
