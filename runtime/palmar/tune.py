@@ -27,13 +27,12 @@ from palmar.replay import machine, object_of, require_side
 from palmar.seen import TUNED, TUNED_SCHEMA, pack_balls
 from palmar.tools.lean import balls_over, lean_tree, measured, mode_of, own_error_mm, rest_of, surface_samples
 from palmar.tools.pack import PACKAGES, version_of
-from palmar.tune_beyond import changed_traces, outside_rows
+from palmar.tune_beyond import HELD_OUT, changed_traces, outside_rows
 from palmar.tune_cells import Bench, Model, Progress, Trial, try_answer, try_model, workers
 from palmar.tune_search import Search, Stage, parts_left_out, search
 
 TUNE_SCHEMA = "palmar.tune/1"
 RESULTS = {"index.html", "tune.json", "lean.pack", "cells", "made"}
-HELD_OUT = "all held out"
 REST_SHARE = 0.8  # of the guard distance: a ball of the rest never comes as far out as a hand came near
 
 

@@ -34,8 +34,8 @@ struct SearchLimits {
 // of what they may hold, the nearest first; where pairs find no room, or the limits end the search, the margin becomes
 // the least that anything left out may be away: always complete for moves shorter than `out.margin`. Adds what it did
 // to `operations`. A list of the same object that reaches farther from there stays as it is. A search that had to end
-// before it knew of any margin goes on where it ended if it is the next one, for the same link at the same place. The list of a
-// link that the hand leaves out is empty and reaches everywhere.
+// before it knew of any margin goes on where it ended if it is the next one, for the same link at the same place. The
+// list of a link that the hand leaves out is empty and reaches everywhere.
 void gather_link(const HandModel& hand, const PalmGroups& palm, const CollisionObject& object, const HandPlacement& at,
                  int link, double margin, Candidates& out, std::uint32_t& operations, const SearchLimits& limits = {});
 

@@ -38,11 +38,11 @@ struct Settings {
   double release_beyond_m = 0.1;   // its palm farther away than this, is let go around the object
   double object_jump_m = 0.05;     // an object that moves farther in one step has been put there, and does not push
   double fade_s = 0.1;  // forces fade to zero in this time when tracking is lost or a hand let go, and grow back
-  std::string filter = "none";  // of the samples: none, one_euro
-  double filter_cutoff_hz = 1;  // of one_euro at rest
-  double filter_beta = 3;       // Hz by which its cutoff grows for each rad/s, or each 50 mm/s of the palm
+  std::string filter = "none";     // of the samples: none, one_euro
+  double filter_cutoff_hz = 1;     // of one_euro at rest
+  double filter_beta = 3;          // Hz by which its cutoff grows for each rad/s, or each 50 mm/s of the palm
   std::string leave_out = "none";  // parts of the hand that touch nothing (links_of)
-  double settled_m = 1e-7;      // a step that would move the hand less leaves it, bit for bit
+  double settled_m = 1e-7;         // a step that would move the hand less leaves it, bit for bit
 };
 
 // A pair of the last programme's active rows, and its multiplier: what bends the next programme's objective.
