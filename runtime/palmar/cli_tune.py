@@ -72,6 +72,8 @@ def tune(
                 for row in answer["stages"]
             ],
         )
+        for said, names in (("tuned on", answer["traces"]), ("held out", answer["holdout"])):
+            print(f"{said}: {', '.join(names) or 'none'}")
         print(answer["sentence"], *answer["promise"], *([answer["note"]] if answer["note"] else []), sep="\n")
         print(f"pack: {answer['pack']}", f"page: {answer['page']}", sep="\n")
     if answer["pack"] is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import signal
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -65,18 +66,23 @@ class Trial:
 
 @contextmanager
 def workers(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
-    """Processes to judge in; none for one job. Stopped at once where the block does not end well."""
+    """Processes to judge in; none for one job. Where the block does not end well they end after the cell at hand."""
     if jobs == 1:
         yield None
         return
     # A fresh process each: a fork of one that has threads may stand still.
-    pool = ProcessPoolExecutor(max_workers=jobs, mp_context=get_context("spawn"))
+    pool = ProcessPoolExecutor(max_workers=jobs, mp_context=get_context("spawn"), initializer=_finish_first)
     try:
         yield pool
         pool.shutdown()
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
         raise
+
+
+def _finish_first() -> None:
+    """Ctrl-C goes to every process of a terminal: this one keeps the cell that it is at."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def try_model(
