@@ -14,6 +14,7 @@ from palmar.eval.judge import fingertip_force, fingertips, graphic_poses, haptic
 Array = NDArray[np.float64]
 FLOOR_N = 0.05  # below it a change in per cent says nothing
 SETTLE_STEPS = 10
+FADE_S = 0.1  # the default of the setting
 
 
 def force_variation(case: Case) -> Array:
@@ -48,11 +49,20 @@ def _variation(case: Case, force: Array) -> Array:
 def excess_force_step(case: Case) -> Array:
     """(n,) N: largest step of a fingertip's force beyond stiffness times that of the haptic fingertip; NaN at first.
 
-    Where hand and object both move, the haptic fingertip's step is that in the world.
+    Where hand and object both move, the haptic fingertip's step is that in the world. Forces of a hand that is lost are
+    told to fade, so there only what they grow by counts; while they grow back, what is beyond the pace of that.
     """
     tip = fingertips(case.pack.hand, haptic_poses(case.run))
     allowed = case.pack.hand.palm_stiffness_n_per_m[0] * np.linalg.norm(np.diff(tip, axis=0), axis=2)
-    return _from_second_step(np.maximum(0, _force_step(case) - allowed).max(axis=1))
+    lost, recovering = case.has_status("bad_sample")[1:], case.has_status("recovering")
+    back = recovering[1:] | recovering[:-1]  # the last step of the growth has no such status any more
+    if back.any():
+        spring = fingertip_force(case.pack.hand, graphic_poses(case.run), haptic_poses(case.run))[1:]
+        pace = np.diff(case.run.time_s) / case.settings().get("fade_s", FADE_S)
+        allowed += np.where(back, pace, 0.0)[:, None] * np.linalg.norm(spring, axis=2)
+    grown = np.diff(np.linalg.norm(case.run.fingertip_force_n, axis=2), axis=0)
+    changed = np.where(lost[:, None], grown, _force_step(case) - allowed)
+    return _from_second_step(np.maximum(0, changed).max(axis=1))
 
 
 def still_force_step(case: Case) -> Array:

@@ -24,6 +24,7 @@ struct HandPose {
 struct Sample {
   double time_s = 0;
   bool tracked = true;
+  double held_s = 0;  // not in files. Where tracking is lost: how long the pose before had already been held
   HandPose pose;
   bool has_object_pose = false;
   Placement object;

@@ -10,6 +10,7 @@ namespace palmar {
 namespace {
 
 constexpr double kMaxGrid = 1e8;
+constexpr double kHoldIntervals = 1.75, kHoldLeast = 0.05, kHoldMost = 0.1;  // intervals, s, s
 
 using Quaternion = std::array<double, 4>;
 using Knots = std::vector<Knot>;
@@ -121,13 +122,26 @@ Knots object_knots(const std::vector<Sample>& samples) {
   return knots;
 }
 
-void join(Knots& knots, ResampleMethod method, double max_gap_s, bool join_signs) {
+// How long a silent device's last sample is held. The usual interval is the median, which gaps do not move.
+double hold_for(const std::vector<Sample>& samples) {
+  if (samples.size() < 2) return kHoldLeast;
+  std::vector<double> apart_s;
+  for (std::size_t i = 1; i < samples.size(); ++i) apart_s.push_back(samples[i].time_s - samples[i - 1].time_s);
+  const auto middle = apart_s.begin() + static_cast<std::ptrdiff_t>(apart_s.size() / 2);
+  std::nth_element(apart_s.begin(), middle, apart_s.end());
+  return std::clamp(kHoldIntervals * *middle, kHoldLeast, kHoldMost);
+}
+
+void join(Knots& knots, const std::vector<Sample>& samples, ResampleMethod method, double hold_s, bool join_signs) {
   std::size_t first = 0;
   for (std::size_t k = 0; k < knots.size(); ++k) {
+    const std::size_t after = knots[k].sample + 1;
+    const bool told = after < samples.size() && !samples[after].tracked;
+    knots[k].hold_s = told ? std::min(hold_s, samples[after].time_s - knots[k].time_s) : hold_s;
     if (k + 1 < knots.size()) {
       Knot& next = knots[k + 1];
       const double apart_s = next.time_s - knots[k].time_s;
-      knots[k].broken = next.sample != knots[k].sample + 1 || apart_s > max_gap_s + rounding_s(next.time_s);
+      knots[k].broken = next.sample != knots[k].sample + 1 || apart_s > hold_s + rounding_s(next.time_s);
       if (join_signs && dot(knots[k].rotation_wxyz, next.rotation_wxyz) < 0)
         next.rotation_wxyz = negative(next.rotation_wxyz);
     }
@@ -164,8 +178,8 @@ Placement placement_of(const Knot& knot) { return {{knot.value[0], knot.value[1]
 
 }  // namespace
 
-Resampler::Resampler(const Trace& trace, const std::string& method, double rate_hz, double max_gap_s)
-    : method_(method_named(method)), rate_hz_(rate_hz), max_gap_s_(max_gap_s), samples_(trace.samples) {
+Resampler::Resampler(const Trace& trace, const std::string& method, double rate_hz)
+    : method_(method_named(method)), rate_hz_(rate_hz), hold_s_(hold_for(trace.samples)), samples_(trace.samples) {
   if (!(rate_hz >= 1 && rate_hz <= 100'000))
     throw Error("E-CONF", "rate_hz", std::to_string(rate_hz) + "; 1 to 100000 Hz are allowed");
   for (std::size_t i = 1; i < samples_.size(); ++i)
@@ -188,8 +202,8 @@ Resampler::Resampler(const Trace& trace, const std::string& method, double rate_
     on_grid = std::abs(samples_[i].time_s - grid_s) <= rounding_s(grid_s);
   }
   const bool join_signs = method_ != ResampleMethod::kHold && !on_grid;
-  join(hand_, method_, max_gap_s, join_signs);
-  join(object_, method_, max_gap_s, join_signs);
+  join(hand_, samples_, method_, hold_s_, join_signs);
+  join(object_, samples_, method_, hold_s_, join_signs);
 }
 
 Sample Resampler::at(std::size_t i) const {
@@ -201,7 +215,8 @@ Sample Resampler::at(std::size_t i) const {
   const std::size_t k = last_until(hand_, time_s);
   const bool before = k == hand_.size();
   const Knot hand = before ? hand_.front() : evaluate(hand_, k, time_s, method_);
-  sample.tracked = sample.tracked && !before && time_s - hand.time_s <= max_gap_s_ + rounding_s(time_s);
+  sample.tracked = sample.tracked && !before && time_s - hand.time_s <= hold_s_ + rounding_s(time_s);
+  sample.held_s = sample.tracked || before ? 0 : hand.hold_s;
   sample.pose.palm = placement_of(hand);
   std::copy_n(hand.value.begin() + 3, 15, sample.pose.flexion_rad.begin());
   std::copy_n(hand.value.begin() + 18, 5, sample.pose.abduction_rad.begin());

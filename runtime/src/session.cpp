@@ -13,6 +13,8 @@ namespace {
 constexpr int kContactCapacity = 512;
 constexpr double kLongestStep = 0.1;  // seconds; a clock that leaps farther says no more than that time has passed
 constexpr int kStartSteps = 50;
+constexpr double kQuickestFade = 0.2;  // of fade_s, where a hand was held so long that less is left
+constexpr double kLed = 1e-4;  // metres a step that the palm shown comes nearer to the haptic one: not yet arrived
 constexpr int kRows = 1024;           // of one programme
 constexpr double kContactGap = 1e-5;  // metres; a pair this near counts as a contact: ten times what a row aims at
 
@@ -186,6 +188,9 @@ const StepResult& Session::step(const Sample& sample) {
   const double dt_s = seconds_since_last(sample.time_s);
   std::uint32_t status = kOk;
   bool fading = true;
+  // A hand that was lost for so long that nothing is felt is led to where it is now before anything is.
+  bool arriving = gain_ == 0 && (result_.status & kBadSample);
+  double fade_s = settings_.fade_s;
   if (usable(sample)) {
     const Placement placed_before = placed_;
     placed_ = sample.object;
@@ -216,15 +221,20 @@ const StepResult& Session::step(const Sample& sample) {
     const bool left_behind = (apart || release_.active()) && free(haptic_, haptic_at);
     const Configuration aim = release_.aim({settings_.release_after_s, settings_.release_beyond_m}, hand_, object_,
                                            haptic_, state_.graphic, left_behind, dt_s);
+    const Vec3 shown = state_.graphic.position;
     status |= solve_({hand_, palm_, object_, settings_}, aim, state_, work_);
+    const double led = (state_.graphic.position - shown).norm() - (haptic_.position - haptic_before_.position).norm();
+    arriving |= gain_ == 0 && led > kLed;
     fading = release_.active();
     if (fading) status |= kReleasing;
   } else {
     status |= kBadSample;
     filter_.started = false;
+    fade_s = std::max(fade_s - sample.held_s, kQuickestFade * fade_s);
   }
+  const double pace = fading ? -1 : arriving ? 0 : 1;
   // Rounding must not leave a last trace of a force.
-  gain_ = std::clamp(gain_ + (fading ? -1 : 1) * dt_s / settings_.fade_s, 0.0, 1.0);
+  gain_ = std::clamp(gain_ + pace * dt_s / fade_s, 0.0, 1.0);
   if (gain_ < 1e-9) gain_ = 0;
   if (gain_ < 1 && !fading) status |= kRecovering;
   result_.time_s = sample.time_s;

@@ -85,6 +85,23 @@ def test_a_forgotten_contact_is_seen_though_the_variation_stays_small(hand, make
     assert not passed and "still_force_step max 0.6 N" in sentence and "excess_force_step max 0.6 N" in sentence
 
 
+def test_a_fade_is_no_jump_but_what_grows_in_it_or_faster_than_it_is(hand, make_pack, make_run):
+    gain = np.ones(300)
+    gain[100:120] = np.linspace(0.95, 0, 20)  # lost: 2 N are gone in 20 steps, 0.1 N each
+    gain[120:200] = 0
+    gain[200:] = np.linspace(0.01, 1, 100)  # and grow back in 0.1 s
+    status = np.zeros(300, dtype=np.uint32)
+    status[100:200], status[200:299] = 16, 1
+    run = with_forces(held(make_run, n=300), hand)
+    run = replace(run, status=status, fingertip_force_n=run.fingertip_force_n * gain[:, None, None])
+    assert value(measure(run, make_pack(FAR), "thing")[0], "excess_force_step", "max") < 1e-12  # newtons, rounding
+    for step, excess in ((110, 0.2), (150, 0.3), (250, 0.3)):  # in the fade, which takes 0.1 N of it; lost; on its way
+        force = run.fingertip_force_n.copy()
+        force[step, 1, 2] += 0.3
+        rows, _ = measure(replace(run, fingertip_force_n=force), make_pack(FAR), "thing")
+        assert value(rows, "excess_force_step", "max") == pytest.approx(excess, abs=1e-10)
+
+
 def test_a_still_hand_is_held_to_the_last_bit(hand, make_pack, make_run):
     run = with_forces(held(make_run), hand)
     force = run.fingertip_force_n.copy()

@@ -146,6 +146,32 @@ int main() {
     }
   }
 
+  // Lost in silence: a hand that was held for h before it is taken for lost feels nothing 0.1 s after its last sample,
+  // or a fifth of that after it was lost; back 30 mm farther along, it is there before anything is felt.
+  for (const double held : {0.001, 0.05, 0.08, 0.1}) {
+    Session session(hand, made::ball(500, 0.04, 0.006), Settings{});
+    for (int step = 0; step <= 400; ++step)
+      session.step(sample_at(step, curled(0.3, {0, -0.05, std::max(0.045, 0.1 - 5e-4 * step)})));
+    const Configuration pressed = curled(0.3, {0, -0.05, 0.045});
+    double before = largest_force(session.step(sample_at(401, pressed)));
+    const int fade = std::max(20, int(std::lround(1e3 * (0.1 - held))));
+    for (int step = 1; step <= fade; ++step) {
+      Sample lost = sample_at(401 + step, pressed);
+      lost.tracked = false;
+      lost.held_s = held;
+      const double now = largest_force(session.step(lost));
+      CHECK(now < before);
+      CHECK((now == 0) == (step == fade));
+      before = now;
+    }
+    const Configuration farther = curled(0.3, {0.03, -0.05, 0.045});
+    std::vector<double> felt;
+    for (int step = 0; step < 200; ++step)
+      felt.push_back(largest_force(session.step(sample_at(600 + step, farther))));
+    CHECK(felt[0] == 0 && felt.back() > 1);
+    for (int step = 1; step < 200; ++step) CHECK(felt[step] - felt[step - 1] <= 0.0101 * felt.back());
+  }
+
   // Lost tracking: the hand stays, the force is zero within 0.1 s, and after the return it grows as slowly; one lost
   // sample costs a hundredth of the force.
   {

@@ -74,7 +74,7 @@ void grid_runs_from_first_to_last_sample() {
 }
 
 void straight_motion_stays_straight() {
-  const Trace trace = make_trace({0, 0.01, 0.035, 0.04, 0.1});
+  const Trace trace = make_trace({0, 0.01, 0.035, 0.04, 0.09});
   for (const char* method : {"linear", "pchip"}) {
     const Resampler resampler(trace, method, 1000);
     for (std::size_t i = 0; i < resampler.size(); ++i) {
@@ -122,6 +122,8 @@ void lost_tracking_is_held_and_said() {
       const double x = s.pose.palm.position_m[0];
       if (i < 10) CHECK(!s.tracked && x == 0.01);  // nothing known yet: the first good pose
       if (i >= 20 && i < 50) CHECK(x == 0.02);     // no way is made up across the loss
+      // How long the last sample had been held when the device said that the hand was lost.
+      if (i >= 30 && i < 50) CHECK_NEAR(s.held_s, 0.01, 1e-15);
       if (i >= 20 && i < 30) CHECK(s.tracked);     // the device has not said so yet
       if (i >= 30 && i < 50) CHECK(!s.tracked);
       if (i >= 50 && i < 60) CHECK(s.tracked && x == 0.05);
@@ -130,13 +132,42 @@ void lost_tracking_is_held_and_said() {
   }
 }
 
-void silent_device_is_untracked_after_the_gap() {
-  const Resampler resampler(make_trace({0, 0.1, 0.2, 1.0, 1.001}), "pchip", 1000);
-  for (std::size_t i = 0; i < resampler.size(); ++i) {
-    const Sample s = resampler.at(i);
-    CHECK(s.tracked == (i <= 300 || i >= 1000));
-    if (i >= 200 && i < 1000) CHECK(s.pose.palm.position_m[0] == 0.2);
-    if (i > 100 && i < 200) CHECK_NEAR(s.pose.palm.position_m[0], s.time_s, 1e-15);  // 0.1 s apart is no gap
+// Ten samples, a second without any, ten samples: the device is silent after `held_ms`, and not before.
+void silent_device_is_untracked(double rate_hz, std::size_t held_ms) {
+  Trace trace;
+  for (int i = 0; i < 20; ++i) trace.samples.push_back(make_sample((i < 10 ? i : i + rate_hz) / rate_hz));
+  for (const char* method : {"hold", "linear", "pchip"}) {
+    const Resampler resampler(trace, method, 1000);
+    const double last_s = trace.samples[9].time_s, again_s = trace.samples[10].time_s;
+    for (std::size_t i = 0; i < resampler.size(); ++i) {
+      const Sample s = resampler.at(i);
+      const double since_s = s.time_s - last_s;
+      const bool lost = since_s > 1e-3 * static_cast<double>(held_ms) + 1e-9 && s.time_s < again_s - 1e-9;
+      CHECK(s.tracked == !lost);
+      CHECK(s.held_s == (lost ? resampler.hold_s() : 0));
+      if (since_s >= 0 && s.time_s < again_s - 1e-9) CHECK(s.pose.palm.position_m[0] == last_s);
+    }
+    CHECK_NEAR(resampler.hold_s(), 1e-3 * static_cast<double>(held_ms), 1e-12);
+  }
+}
+
+void silence_is_told_by_the_stream_s_own_rate() {
+  silent_device_is_untracked(1000, 50);  // half of the time in which a force has to be gone
+  silent_device_is_untracked(60, 50);
+  silent_device_is_untracked(25, 70);  // 1.75 of its intervals
+  silent_device_is_untracked(10, 100);
+}
+
+// A stream that is slow, jitters by 30 % and loses one sample in five where an interval is short: no gap to speak of.
+void ordinary_streams_have_no_gap() {
+  for (const double rate_hz : {20.0, 30.0, 60.0, 90.0, 115.0}) {
+    Trace trace;
+    for (int i = 0; i < 100; ++i) {
+      if (rate_hz >= 60 && i % 5 == 3) continue;
+      trace.samples.push_back(make_sample((i + (i % 2 ? 0.3 : 0)) / rate_hz));
+    }
+    const Resampler resampler(trace, "pchip", 1000);
+    for (std::size_t i = 0; i < resampler.size(); ++i) CHECK(resampler.at(i).tracked);
   }
 }
 
@@ -180,7 +211,8 @@ int main() {
   hold_gives_the_last_sample();
   rotation_takes_the_short_way_whatever_the_signs();
   lost_tracking_is_held_and_said();
-  silent_device_is_untracked_after_the_gap();
+  silence_is_told_by_the_stream_s_own_rate();
+  ordinary_streams_have_no_gap();
   object_pose_is_held_where_it_is_not_given();
   wrong_wishes_are_refused();
   return finish();
