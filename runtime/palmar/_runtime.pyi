@@ -55,11 +55,12 @@ class DeviceRecording:
 
 def recover_trace(
     path: str, out: str, spare: dict[str, str]
-) -> tuple[dict[str, str], dict[str, np.ndarray], dict[str, int]]:
-    """Write what is sound of a damaged trace, raw device bytes too, to `out`; gives it as `read_trace` does.
+) -> tuple[dict[str, str], float, dict[str, int], dict[str, int]]:
+    """Write what is sound of a damaged trace, all that a recording keeps, to `out`, and hold that against it.
 
-    A sample with values that break the format is left out and counted. spare: header to use where the file's own is
-    damaged; empty for none. Raises BadTrace.
+    A message with values that break the format is left out and counted. spare: header to use where the file's own is
+    damaged; empty for none. Gives the header, the duration, s, how many of each kind of message there are, and what was
+    lost. Raises BadTrace.
     """
 
 def read_run(path: str) -> tuple[dict[str, str], dict[str, np.ndarray], dict[str, int]]:

@@ -234,9 +234,18 @@ void bind_files(nb::module_& m) {
         const Trace trace = without_gil([&] {
           Trace found = salvage_trace(path, spare);
           write_trace(out, found);
+          const Trace back = read_trace(out);
+          const bool sound = !back.loss.bytes && !back.loss.chunks && !back.loss.messages && !back.loss.unclosed;
+          if (!sound || !same_content(back, found))
+            throw Error("E-TRACE-RECOVER", out, "what was written does not read back the same; nothing is kept");
           return found;
         });
-        return nb::make_tuple(trace.header, sample_columns(trace.samples), lost(trace.loss));
+        const std::map<std::string, std::size_t> kept{{"samples", trace.samples.size()},
+                                                      {"device_readings", trace.device_readings.size()},
+                                                      {"device_bytes", trace.device_bytes.size()},
+                                                      {"pose_bytes", trace.pose_bytes.size()}};
+        return nb::make_tuple(trace.header, trace.samples.back().time_s - trace.samples.front().time_s, kept,
+                              lost(trace.loss));
       },
       "path"_a, "out"_a, "spare"_a);
   m.def(

@@ -99,7 +99,9 @@ struct DeviceReading {
 struct Trace {
   Header header;
   std::vector<Sample> samples;
-  std::vector<DeviceBytes> device_bytes;
+  // What a recording keeps beside them: raw bytes of the device and of the source of palm poses, and what lines said.
+  std::vector<DeviceBytes> device_bytes, pose_bytes;
+  std::vector<DeviceReading> device_readings;
   Loss loss;
 };
 

@@ -1,8 +1,10 @@
 #include "trace_file.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
+#include <limits>
 #include <span>
 
 #include "channels.h"
@@ -77,8 +79,19 @@ void check_sample(const Sample& sample, std::size_t i, const std::string& path) 
   if (sample.has_object_pose) check_rotation(sample.object.rotation_wxyz, "object_rotation_wxyz", where);
 }
 
-void check_device_bytes(const DeviceBytes& device, std::size_t i, const std::string& path) {
-  check_time(device.time_s, path + ":device_bytes " + std::to_string(i));
+// Of a message beside the samples; what it holds may be anything.
+template <class Message>
+void check_beside(const Message& message, const MessageType& type, std::size_t i, const std::string& path) {
+  check_time(message.time_s, path + ":" + (type.topic + 1) + " " + std::to_string(i));
+}
+
+template <class Message, class Fields>
+void take_beside(std::vector<Message>& all, const McapMessage& from, Fields fields, const MessageType& type,
+                 const std::string& path, std::size_t number) {
+  Message message;
+  decode(from.payload, message, fields, path, type, number);
+  check_beside(message, type, number, path);
+  all.push_back(std::move(message));
 }
 
 // A sample whose time does not rise is counted as lost.
@@ -92,11 +105,12 @@ void take(Trace& trace, const McapMessage& message, const MessageType& type, con
       trace.samples.push_back(sample);
     else
       ++trace.loss.messages;
+  } else if (&type == &kDeviceReadingType) {
+    const auto fields = [](auto& cdr, auto& m) { device_reading_fields(cdr, m); };
+    take_beside(trace.device_readings, message, fields, type, path, number);
   } else {
-    DeviceBytes device;
-    decode(message.payload, device, [](auto& cdr, auto& m) { device_bytes_fields(cdr, m); }, path, type, number);
-    check_device_bytes(device, number, path);
-    trace.device_bytes.push_back(std::move(device));
+    const auto fields = [](auto& cdr, auto& m) { device_bytes_fields(cdr, m); };
+    take_beside(&type == &kPoseBytesType ? trace.pose_bytes : trace.device_bytes, message, fields, type, path, number);
   }
 }
 
@@ -111,7 +125,7 @@ Trace read(const McapFile& file, const std::string& path, bool salvage, const He
     for (const auto& [key, value] : end->second) trace.header[key] = value;
   trace.loss = file.loss;
 
-  const auto channels = find_channels(file, path, {&kSampleType, &kDeviceBytesType});
+  const auto channels = find_channels(file, path, {&kSampleType, &kDeviceReadingType, &kDeviceBytesType, &kPoseBytesType});
   std::map<const MessageType*, std::size_t> seen;
   for (const McapMessage& message : file.messages) {
     const auto channel = channels.find(message.channel);
@@ -139,18 +153,35 @@ bool is_storable(const Sample& sample) {
          is_finite(sample.pose.abduction_rad) && fits(sample.object, sample.has_object_pose);
 }
 
+bool same_content(const Trace& a, const Trace& b) {
+  CdrEncoder one, other;
+  const auto all_same = [&](const auto& left, const auto& right, auto fields) {
+    return std::equal(left.begin(), left.end(), right.begin(), right.end(), [&](auto& l, auto& r) {
+      one.start(), other.start();
+      fields(one, l), fields(other, r);
+      return std::equal(one.bytes().begin(), one.bytes().end(), other.bytes().begin(), other.bytes().end());
+    });
+  };
+  const auto bytes = [](auto& cdr, auto& m) { device_bytes_fields(cdr, m); };
+  return a.header == b.header && all_same(a.samples, b.samples, [](auto& cdr, auto& m) { sample_fields(cdr, m); }) &&
+         all_same(a.device_readings, b.device_readings, [](auto& cdr, auto& m) { device_reading_fields(cdr, m); }) &&
+         all_same(a.device_bytes, b.device_bytes, bytes) && all_same(a.pose_bytes, b.pose_bytes, bytes);
+}
+
 Trace read_trace(const std::string& path) { return read(read_mcap(path), path, false, {}); }
 
 Trace trace_of(const McapFile& file, const std::string& path) { return read(file, path, false, {}); }
 
 Trace salvage_trace(const std::string& path, const Header& spare) { return read(read_mcap(path), path, true, spare); }
 
-TraceWriter::TraceWriter(const std::string& path, Header header, McapWriter::Place place, Device device)
+TraceWriter::TraceWriter(const std::string& path, Header header, McapWriter::Place place, Beside beside)
     : writer_((complete_header(header, path), path), place) {  // a wrong header makes no file
   writer_.add_metadata(kTraceHeaderName, header);
-  samples_ = writer_.add_channel(kSampleType.topic, kSampleType.name, kSampleType.text);
-  if (device == Device::kWithBytes)
-    bytes_ = writer_.add_channel(kDeviceBytesType.topic, kDeviceBytesType.name, kDeviceBytesType.text);
+  const auto channel = [&](const MessageType& type) { return writer_.add_channel(type.topic, type.name, type.text); };
+  samples_ = channel(kSampleType);
+  if (beside.readings) readings_ = channel(kDeviceReadingType);
+  if (beside.device_bytes) device_bytes_ = channel(kDeviceBytesType);
+  if (beside.pose_bytes) pose_bytes_ = channel(kPoseBytesType);
 }
 
 void TraceWriter::add(const Sample& sample) {
@@ -159,10 +190,22 @@ void TraceWriter::add(const Sample& sample) {
   writer_.add_message(samples_, log_time_ns(sample.time_s), cdr_.bytes());
 }
 
-void TraceWriter::add(const DeviceBytes& device) {
+void TraceWriter::add(const DeviceReading& reading) {
+  cdr_.start();
+  device_reading_fields(cdr_, reading);
+  writer_.add_message(readings_, log_time_ns(reading.time_s), cdr_.bytes());
+}
+
+void TraceWriter::add_device_bytes(const DeviceBytes& device) {
   cdr_.start();
   device_bytes_fields(cdr_, device);
-  writer_.add_message(bytes_, log_time_ns(device.time_s), cdr_.bytes());
+  writer_.add_message(device_bytes_, log_time_ns(device.time_s), cdr_.bytes());
+}
+
+void TraceWriter::add_pose_bytes(const DeviceBytes& pose) {
+  cdr_.start();
+  device_bytes_fields(cdr_, pose);
+  writer_.add_message(pose_bytes_, log_time_ns(pose.time_s), cdr_.bytes());
 }
 
 void write_trace(const std::string& path, const Trace& trace) {
@@ -175,17 +218,39 @@ void write_trace(const std::string& path, const Trace& trace) {
                   "time_s " + number(trace.samples[i].time_s) + " follows " + number(trace.samples[i - 1].time_s) +
                       "; times must rise");
   }
-  for (std::size_t i = 0; i < trace.device_bytes.size(); ++i) check_device_bytes(trace.device_bytes[i], i, path);
+  const auto check_all = [&](const auto& messages, const MessageType& type) {
+    for (std::size_t i = 0; i < messages.size(); ++i) check_beside(messages[i], type, i, path);
+  };
+  check_all(trace.device_bytes, kDeviceBytesType);
+  check_all(trace.pose_bytes, kPoseBytesType);
+  check_all(trace.device_readings, kDeviceReadingType);
 
-  using Device = TraceWriter::Device;
   TraceWriter writer(path, trace.header, McapWriter::Place::kRenamedOnClose,
-                     trace.device_bytes.empty() ? Device::kSamplesAlone : Device::kWithBytes);
-  auto device = trace.device_bytes.begin();
-  for (const Sample& sample : trace.samples) {
-    for (; device != trace.device_bytes.end() && device->time_s <= sample.time_s; ++device) writer.add(*device);
-    writer.add(sample);
+                     {!trace.device_bytes.empty(), !trace.pose_bytes.empty(), !trace.device_readings.empty()});
+  // In order of time; of one time bytes come before what was made of them.
+  std::size_t device = 0, pose = 0, reading = 0, sample = 0;
+  const auto time_of = [](const auto& messages, std::size_t i) {
+    return i < messages.size() ? messages[i].time_s : std::numeric_limits<double>::infinity();
+  };
+  for (;;) {
+    const std::array<double, 4> next{time_of(trace.device_bytes, device), time_of(trace.pose_bytes, pose),
+                                     time_of(trace.device_readings, reading), time_of(trace.samples, sample)};
+    const auto first = std::min_element(next.begin(), next.end());
+    if (std::isinf(*first)) break;
+    switch (first - next.begin()) {
+      case 0:
+        writer.add_device_bytes(trace.device_bytes[device++]);
+        break;
+      case 1:
+        writer.add_pose_bytes(trace.pose_bytes[pose++]);
+        break;
+      case 2:
+        writer.add(trace.device_readings[reading++]);
+        break;
+      default:
+        writer.add(trace.samples[sample++]);
+    }
   }
-  for (; device != trace.device_bytes.end(); ++device) writer.add(*device);
   writer.close();
 }
 

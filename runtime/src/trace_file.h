@@ -29,19 +29,27 @@ void write_trace(const std::string& path, const Trace& trace);
 // True for a sample that a trace can hold: its values, not its order. Neither throws nor allocates.
 bool is_storable(const Sample& sample);
 
+// True if two traces have the same header and the same messages, bit for bit; losses are not compared.
+bool same_content(const Trace& a, const Trace& b);
+
 // Writes a trace while its samples come. Header as above; that values are storable and times rise is the caller's part.
 class TraceWriter {
  public:
-  enum class Device { kSamplesAlone, kWithBytes };
-  TraceWriter(const std::string& path, Header header, McapWriter::Place place, Device device = Device::kSamplesAlone);
+  // Which channels there are beside that of the samples.
+  struct Beside {
+    bool device_bytes = false, pose_bytes = false, readings = false;
+  };
+  TraceWriter(const std::string& path, Header header, McapWriter::Place place, Beside beside);
   void add(const Sample& sample);
-  void add(const DeviceBytes& device);  // of kWithBytes only
+  void add(const DeviceReading& reading);
+  void add_device_bytes(const DeviceBytes& device);
+  void add_pose_bytes(const DeviceBytes& pose);
   void flush() { writer_.flush(); }
   void close() { writer_.close(); }
 
  private:
   McapWriter writer_;
-  std::uint16_t samples_ = 0, bytes_ = 0;
+  std::uint16_t samples_ = 0, device_bytes_ = 0, pose_bytes_ = 0, readings_ = 0;
   CdrEncoder cdr_;
 };
 

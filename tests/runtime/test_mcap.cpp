@@ -200,16 +200,26 @@ void crc_is_that_of_zlib() {
 void trace_comes_back_bit_for_bit() {
   Trace trace = make_trace(1000, 0.001);
   trace.device_bytes = {{0.1, {1, 2, 3}}, {0.9, {}}, {7.0, {255}}};
+  trace.pose_bytes = {{0.05, {7}}, {0.1, {}}};
+  DeviceReading reading{0.1, {}, {}, {0.5, -0.5}, 1, 3};
+  reading.flexion.fill(std::nan(""));
+  trace.device_readings = {reading};
   write_trace(kPath, trace);
   const Trace back = read_trace(kPath);
   CHECK(back.header == trace.header);
   CHECK(all_same(back.samples, trace.samples));
   CHECK(sound(back.loss));
-  CHECK(back.device_bytes.size() == 3);
-  for (std::size_t i = 0; i < back.device_bytes.size(); ++i) {
-    CHECK(back.device_bytes[i].time_s == trace.device_bytes[i].time_s);
-    CHECK(back.device_bytes[i].bytes == trace.device_bytes[i].bytes);
-  }
+  CHECK(same_content(back, trace));
+  // It sees a bit of each channel.
+  const auto differs = [&](auto change) {
+    Trace other = trace;
+    change(other);
+    return !same_content(back, other);
+  };
+  CHECK(differs([](Trace& t) { t.device_bytes[2].bytes[0] = 254; }));
+  CHECK(differs([](Trace& t) { t.pose_bytes.pop_back(); }));
+  CHECK(differs([](Trace& t) { t.device_readings[0].buttons = 2; }));
+  CHECK(differs([](Trace& t) { t.samples[9].pose.abduction_rad[4] += 1e-9; }));
   const FileBytes once = load(kPath);
   write_trace(kPath, trace);
   CHECK(load(kPath) == once);

@@ -8,7 +8,9 @@ here too, where one in seven is enough by default.
 import numpy as np
 import pytest
 
-from palmar import cli
+from mcap.reader import make_reader
+
+from palmar import _runtime, cli
 from palmar.errors import BadTrace, PalmarError
 from palmar.records import Trace, read_trace, write_trace
 from palmar.recover import recover_file
@@ -137,6 +139,64 @@ def test_samples_that_are_no_pose_are_left_out_and_counted(sound, tmp_path):
     answer = recover_file(tmp_path / "open.mcap", tmp_path / "out.mcap")
     assert answer["lost"]["messages"] == 1 and answer["samples"] == 2
     assert_part(read_trace(tmp_path / "out.mcap"), make_trace())
+
+
+CHANNELS = ("device_readings", "device_bytes", "pose_bytes", "samples")
+
+
+def record_all(path, count=5):
+    """A recording with all that `palmar record` keeps, 0.3 s apart: what came at one time is in a chunk of its own."""
+    recording = _runtime.DeviceRecording(str(path), make_trace().header)
+    whole = make_trace(count)
+    for row, time_s in enumerate(whole.time_s.tolist()):
+        recording.add_device_bytes(time_s, b"A1B2C3D4E5\n" * row + b"\0\xff\n")
+        recording.add_pose_bytes(time_s, f"{row} 0 0 1 0 0 0\n".encode())
+        # What a glove does not send is not a number, and stays that.
+        recording.add_reading(time_s, [row / 7, np.nan] * 7 + [0.5], [np.nan] * 5, [0.1, -0.1], 0.25, row)
+        values = (whole.palm_position_m, whole.palm_rotation_wxyz, whole.flexion_rad.reshape(-1, 15))
+        recording.add_sample(time_s, True, *(value[row] for value in values), whole.abduction_rad[row])
+    recording.close({"rate_hz": "3.3", "recorded": "{}"})
+    return path
+
+
+def messages_of(path):
+    with path.open("rb") as stream:
+        return [(channel.topic, m.log_time, m.data) for _, channel, m in make_reader(stream).iter_messages()]
+
+
+def test_all_channels_of_a_recording_are_kept_wherever_it_was_cut(tmp_path):
+    content = record_all(tmp_path / "whole.mcap").read_bytes()
+    whole = messages_of(tmp_path / "whole.mcap")
+    header = read_trace(tmp_path / "whole.mcap").header
+    assert header["recorded"] == "{}" and len(whole) == 20
+    kept = []
+    for size in [*range(0, len(content), 41), len(content)]:
+        (tmp_path / "cut.mcap").write_bytes(content[:size])
+        out = tmp_path / f"out_{size}.mcap"
+        try:
+            answer = recover_file(tmp_path / "cut.mcap", out)
+        except BadTrace:
+            kept.append(0)
+            continue
+        # Of each time all or nothing, in every channel, with the numbers and bytes that there were.
+        assert len({answer[name] for name in CHANNELS}) == 1
+        kept.append(answer["samples"])
+        assert sorted(messages_of(out)) == sorted(whole[: 4 * kept[-1]])
+        out.unlink()
+    assert kept == sorted(kept) and set(kept) == {0, 1, 2, 3, 4, 5}
+
+
+def test_a_damaged_chunk_costs_what_came_in_its_time_in_every_channel(tmp_path):
+    content = bytearray(record_all(tmp_path / "whole.mcap").read_bytes())
+    content[content.index(b"3 0 0 1 0 0 0")] ^= 1
+    (tmp_path / "flipped.mcap").write_bytes(content)
+    answer = recover_file(tmp_path / "flipped.mcap", tmp_path / "out.mcap")
+    whole = messages_of(tmp_path / "whole.mcap")
+    assert sorted(messages_of(tmp_path / "out.mcap")) == sorted(whole[:12] + whole[16:])
+    assert [answer[name] for name in CHANNELS] == [4] * 4 and answer["lost"]["chunks"] == 1
+    assert read_trace(tmp_path / "out.mcap").header == read_trace(tmp_path / "whole.mcap").header
+    _, chunks = _runtime.read_device_bytes(str(tmp_path / "out.mcap"))
+    assert [content for _, content in chunks] == [b"A1B2C3D4E5\n" * row + b"\0\xff\n" for row in (0, 1, 2, 4)]
 
 
 def test_the_damaged_file_is_never_written_over(sound):
