@@ -52,4 +52,3 @@ def _advice(error: BadTrace) -> str:
     if error.code == "E-TRACE-CRC" and "header is damaged" in error.message:
         return "; --header-of names a sound trace of the same device and hand to take it from"
     return ""
-

@@ -28,10 +28,10 @@ struct Knot {
 // Knots are the tracked samples. Between two of them that have an untracked sample between, or lie farther apart than
 // hold_s, nothing is interpolated: the earlier one is held, and untracked from the first untracked sample on or after
 // hold_s, as a host that waits for the next sample would have it. hold_s is 1.75 of the usual interval between samples,
-// so that a jitter of a third of it is no gap, but 0.05 s at least and 0.1 s at most: what is left of the 0.1 s in which
-// a lost hand's forces have to be gone is for them to fade. The object's pose is held across its gaps. At the time of a sample its values come out exactly. With
-// "linear" and "pchip" a rotation's sign is the nearer to the one before, unless the trace lies on the grid as it is:
-// then nothing is changed.
+// so that a jitter of a third of it is no gap, but 0.05 s at least and 0.1 s at most: what is left of the 0.1 s in
+// which a lost hand's forces have to be gone is for them to fade. The object's pose is held across its gaps. At the
+// time of a sample its values come out exactly. With "linear" and "pchip" a rotation's sign is the nearer to the one
+// before, unless the trace lies on the grid as it is: then nothing is changed.
 class Resampler {
  public:
   // Throws Error E-CONF for an unknown method or a rate that is not 1 to 100,000 Hz, E-TRACE-EMPTY if no sample is

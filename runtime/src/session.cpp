@@ -15,7 +15,7 @@ constexpr double kLongestStep = 0.1;  // seconds; a clock that leaps farther say
 constexpr int kStartSteps = 50;
 constexpr double kQuickestFade = 0.2;  // of fade_s, where a hand was held so long that less is left
 constexpr double kLed = 1e-4;  // metres a step that the palm shown comes nearer to the haptic one: not yet arrived
-constexpr int kRows = 1024;           // of one programme
+constexpr int kRows = 1024;    // of one programme
 constexpr double kContactGap = 1e-5;  // metres; a pair this near counts as a contact: ten times what a row aims at
 
 bool finite(const double* v, int n) {

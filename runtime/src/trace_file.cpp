@@ -125,7 +125,8 @@ Trace read(const McapFile& file, const std::string& path, bool salvage, const He
     for (const auto& [key, value] : end->second) trace.header[key] = value;
   trace.loss = file.loss;
 
-  const auto channels = find_channels(file, path, {&kSampleType, &kDeviceReadingType, &kDeviceBytesType, &kPoseBytesType});
+  const auto channels =
+      find_channels(file, path, {&kSampleType, &kDeviceReadingType, &kDeviceBytesType, &kPoseBytesType});
   std::map<const MessageType*, std::size_t> seen;
   for (const McapMessage& message : file.messages) {
     const auto channel = channels.find(message.channel);

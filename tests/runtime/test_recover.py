@@ -7,7 +7,6 @@ here too, where one in seven is enough by default.
 
 import numpy as np
 import pytest
-
 from mcap.reader import make_reader
 
 from palmar import _runtime, cli

@@ -166,8 +166,7 @@ int main() {
     }
     const Configuration farther = curled(0.3, {0.03, -0.05, 0.045});
     std::vector<double> felt;
-    for (int step = 0; step < 200; ++step)
-      felt.push_back(largest_force(session.step(sample_at(600 + step, farther))));
+    for (int step = 0; step < 200; ++step) felt.push_back(largest_force(session.step(sample_at(600 + step, farther))));
     CHECK(felt[0] == 0 && felt.back() > 1);
     for (int step = 1; step < 200; ++step) CHECK(felt[step] - felt[step - 1] <= 0.0101 * felt.back());
   }

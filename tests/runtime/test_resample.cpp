@@ -124,7 +124,7 @@ void lost_tracking_is_held_and_said() {
       if (i >= 20 && i < 50) CHECK(x == 0.02);     // no way is made up across the loss
       // How long the last sample had been held when the device said that the hand was lost.
       if (i >= 30 && i < 50) CHECK_NEAR(s.held_s, 0.01, 1e-15);
-      if (i >= 20 && i < 30) CHECK(s.tracked);     // the device has not said so yet
+      if (i >= 20 && i < 30) CHECK(s.tracked);  // the device has not said so yet
       if (i >= 30 && i < 50) CHECK(!s.tracked);
       if (i >= 50 && i < 60) CHECK(s.tracked && x == 0.05);
       if (i == 60) CHECK(!s.tracked && x == 0.05);
