@@ -2,134 +2,124 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-import statistics
+from array import array
+from typing import NamedTuple
 
-LEARN = 200  # intervals before there is a period
-LOOK_EVERY = 400  # lines
-# Standard deviation of a wrong count of lines is 0.29 periods: whatever is farther out than this is counted anew.
-WRONG = 0.26
-EARLY = 0.3  # periods before the line that still belong to it; a busy machine makes lines late, none early
-LONGEST_GAP = 20  # periods: after a longer silence the count of lines is not to be known, and a new stretch begins
+import numpy as np
+from numpy.typing import NDArray
+
+LEARN = 200  # lines before there is a clock
+RECENT = 200  # lines that the jitter of the moment is of
+LONGEST_GAP = 20  # periods: after a longer silence the clock may stand anywhere, and a new stretch begins
+SEARCHED = 0.04  # the period is this near to the median interval
+BLOCK = 100  # lines whose phase is looked at together first
+LONGER = 4  # so many blocks make the next one
+PARTS = 8  # of the recording, taken as independent of each other
+JUDGED = 20  # lines whose phase is one point of the last straight line
+FINE = 0.2  # of a turn: what a block ends ahead from one tried rate to the next
+EARLY = 0.3  # periods before the usual lateness that still belong to a line: a machine makes lines late, none early
+CERTAIN = 25.0  # arrivals at any time come so near to a clock's once in exp(25)
+KEPT = 0.5  # of how sharp phases are in short blocks, over all: less, and it is no clock but intervals that add up
+
+
+class Clock(NamedTuple):
+    period_s: float  # of one line
+    error_s: float  # standard error of the period: what the jitter leaves open
+    jitter_s: float  # standard deviation of the lateness, as far as it is under a period
 
 
 class Arrivals:
-    """Straight lines through time of arrival against number of line, one slope for all stretches without a gap.
-
-    Which number a line has follows from its time, so lines that are lost, doubled or held back and sent at once do not
-    turn the slope. The arrival is later than the device's clock by a time that varies, never earlier: what varies is
-    the jitter, and the slope is the device's period by the clock of this machine.
-    """
+    """The times at which lines came."""
 
     def __init__(self) -> None:
-        self.count = 0
-        self._first: list[float] = []
-        self._period = math.nan  # of the first intervals, then of the fit
-        self._slope_top = self._slope_bottom = 0.0  # of the stretches that are over
-        self._squares = 0.0
-        self._points = 0
-        self._begin(0.0)
+        self._times_s = array("d")
 
     def add(self, time_s: float) -> None:
         """One line came. Times must not fall."""
-        self.count += 1
-        if math.isnan(self._period):
-            self._learn(time_s)
-            return
-        number = math.floor((time_s - self._line_at_zero()) / self._period + EARLY) if self._n else 0
-        if self._n and number - self._number > LONGEST_GAP:
-            self._end_stretch()
-            self._begin(time_s)
-            number = 0
-        if self._n and number <= self._number:
-            return  # sent twice, or late together with others
-        self._take(number, time_s - self._zero)
+        self._times_s.append(time_s)
 
     @property
-    def period_s(self) -> float:
-        """Of one line; NaN before enough have come."""
-        top, bottom = self._slopes()
-        return top / bottom if bottom > 0 else self._period
+    def count(self) -> int:
+        return len(self._times_s)
 
     @property
-    def jitter_s(self) -> float:
-        """Standard deviation of the arrivals about the line; NaN before enough have come."""
-        top, bottom = self._slopes()
-        points = self._points + self._n
-        if points < LEARN or bottom <= 0:
+    def recent_jitter_s(self) -> float:
+        """Spread of the last intervals as a standard deviation of the lateness; NaN before enough have come."""
+        if self.count <= RECENT:
             return math.nan
-        squares = self._squares + self._ctt - top * top / bottom
-        return math.sqrt(max(squares, 0.0) / points)
+        apart = np.diff(np.array(self._times_s[-RECENT:]))
+        return float(1.4826 / math.sqrt(2.0) * np.median(np.abs(apart - np.median(apart))))
 
-    @property
-    def is_known(self) -> bool:
-        """Whether the arrivals are so near to a clock's that the period means something."""
-        return self.jitter_s < WRONG * self.period_s
+    def clock(self) -> Clock | None:
+        """The device's clock by this machine's; None if there are too few lines, or too wild ones, to tell."""
+        return find_clock(np.array(self._times_s))
 
-    @property
-    def period_error_s(self) -> float:
-        """Standard error of the period: what the jitter leaves open."""
-        bottom = self._slopes()[1]
-        return self.jitter_s / math.sqrt(bottom) if bottom > 0 else math.nan
 
-    def _learn(self, time_s: float) -> None:
-        self._first.append(time_s)
-        if len(self._first) > LEARN:
-            first, self._first = self._first, []
-            steps = [b - a for a, b in itertools.pairwise(first)]
-            usual = statistics.median([step for step in steps if step > 0] or [math.nan])
-            if math.isnan(usual):
-                return
-            # How many lines each interval is, from the interval alone: an error of the usual one does not add up.
-            self._begin(first[0])
-            self._period = usual
-            number = 0
-            self._take(0, 0.0)
-            for time, step in zip(first[1:], steps, strict=True):
-                number += min(round(step / usual), LONGEST_GAP + 1)
-                if number - self._number > LONGEST_GAP:
-                    self._end_stretch()
-                    self._begin(time)
-                    number = 0
-                    self._take(0, 0.0)
-                elif number > self._number:
-                    self._take(number, time - self._zero)
-            self._period = self.period_s
+def find_clock(times_s: NDArray[np.float64]) -> Clock | None:
+    """The period to which arrivals are most in step: that of the sharpest phase (Rayleigh's test).
 
-    def _begin(self, zero_s: float) -> None:
-        self._zero, self._n, self._number = zero_s, 0, 0
-        self._mean_k = self._mean_t = 0.0
-        self._ckk = self._ckt = self._ctt = 0.0  # sums of products about the means (Welford 1962)
+    An arrival is later than the device's clock by a time that varies. Lines that are lost, doubled, held back and sent
+    at once, or some periods late on a busy machine do not move the phase of the others, and which number a line has
+    need not be known. Rates around the usual one are tried on short blocks of lines, then rates around the best on
+    blocks four times as long, and so on up to whole stretches without a gap.
+    """
+    time_s = np.unique(times_s) - times_s[:1]  # lines that came at once say no more than one
+    if len(time_s) < LEARN:
+        return None
+    apart_s = np.diff(time_s)
+    usual_s = float(np.median(apart_s))
+    stretch = np.concatenate([[0], np.cumsum(apart_s > LONGEST_GAP * usual_s)])
+    longest_s = max(float(np.ptp(part)) for part in np.split(time_s, np.flatnonzero(np.diff(stretch)) + 1))
+    rate, reach, length_s, in_short = 1.0 / usual_s, SEARCHED / usual_s, BLOCK * usual_s, 0.0
+    at_s, where, turn, lines = time_s, stretch, np.exp(2j * np.pi * rate * time_s), np.ones(len(time_s))
+    while True:
+        starts = _block_starts(at_s, where, length_s)
+        counts = np.add.reduceat(lines, starts)
+        changes = np.arange(-reach, reach, FINE / length_s)
+        turned = [np.add.reduceat(turn * np.exp(2j * np.pi * change * at_s), starts) for change in changes]
+        # Of arrivals at any time each block has a power of 1.
+        power = [float((np.abs(found) ** 2 / counts).sum()) - len(starts) for found in turned]
+        best = int(np.argmax(power))
+        in_short = power[best] if length_s == BLOCK * usual_s else in_short
+        rate += changes[best]
+        at_s, where = np.add.reduceat(lines * at_s, starts) / counts, where[starts]
+        # Each block is as one line from here on: its sum, turned at its middle.
+        turn, lines, reach = turned[best], counts, 0.5 / length_s
+        if length_s > longest_s:
+            break
+        length_s *= LONGER
+    certain = power[best] > max(CERTAIN, KEPT * in_short)
+    return _judge(time_s, stretch, rate) if certain else None
 
-    def _take(self, number: int, after_s: float) -> None:
-        self._n += 1
-        self._number = number
-        off_k, off_t = number - self._mean_k, after_s - self._mean_t
-        self._mean_k += off_k / self._n
-        self._mean_t += off_t / self._n
-        self._ckk += off_k * (number - self._mean_k)
-        self._ckt += off_k * (after_s - self._mean_t)
-        self._ctt += off_t * (after_s - self._mean_t)
-        if self._ckk > 0 and self._points + self._n > LEARN:
-            self._period = self.period_s
-            if self._n % LOOK_EVERY == 0 and self.jitter_s > WRONG * self._period:
-                self._forget()
 
-    def _forget(self) -> None:
-        self._period, self._first = math.nan, []
-        self._slope_top = self._slope_bottom = self._squares = 0.0
-        self._points = 0
-        self._begin(0.0)
+def _judge(time_s: NDArray[np.float64], stretch: NDArray[np.int64], rate: float) -> Clock | None:
+    """The clock by a straight line through the phases of short blocks, one slope for all stretches."""
+    turn = np.exp(2j * np.pi * rate * time_s)
+    mean = np.zeros(stretch[-1] + 1, dtype=complex)
+    np.add.at(mean, stretch, turn)
+    turn *= np.conj(mean / np.abs(mean))[stretch]
+    starts = _block_starts(time_s, stretch, JUDGED * float(np.median(np.diff(time_s))))
+    found, where = np.add.reduceat(turn, starts), stretch[starts]
+    weight, phase = np.abs(found), np.angle(found) / (2 * np.pi)
+    at_s = np.add.reduceat(time_s, starts) / np.diff(np.append(starts, len(time_s)))
+    total = np.bincount(where, weight)
+    off_s = at_s - (np.bincount(where, weight * at_s) / total)[where]
+    off = phase - (np.bincount(where, weight * phase) / total)[where]
+    moment = float((weight * off_s**2).sum())
+    if moment <= 0:
+        return None
+    slope = float((weight * off_s * off).sum()) / moment
+    left = weight * off_s * (off - slope * off_s)
+    lateness = (np.angle(turn) / (2 * np.pi) - slope * (time_s - time_s.mean()) + EARLY) % 1.0
+    period_s = float(1.0 / (rate - slope))
+    # What is left over is not independent from block to block where a machine was busy for a while, or a clock wanders.
+    together = np.array([part.sum() for part in np.array_split(left, PARTS)])
+    error_s = period_s**2 * float(max(np.linalg.norm(left), np.linalg.norm(together))) / moment
+    return Clock(period_s, error_s, float(np.std(lateness)) * period_s)
 
-    def _line_at_zero(self) -> float:
-        return self._zero + self._mean_t - self._period * self._mean_k
 
-    def _slopes(self) -> tuple[float, float]:
-        return self._slope_top + self._ckt, self._slope_bottom + self._ckk
-
-    def _end_stretch(self) -> None:
-        self._slope_top += self._ckt
-        self._slope_bottom += self._ckk
-        self._squares += self._ctt
-        self._points += self._n
+def _block_starts(at_s: NDArray[np.float64], where: NDArray[np.int64], length_s: float) -> NDArray[np.int64]:
+    """First rows of the blocks of a length in each stretch, times rising."""
+    block = np.floor(at_s / length_s)
+    return np.concatenate([[0], np.flatnonzero(np.diff(block) + np.diff(where)) + 1])

@@ -21,6 +21,7 @@ from palmar.traces.wire import OPENED_S, Pty, Server
 
 BAUD = 115200
 USUAL_HZ = 200.0  # what the firmware comes to at this baud rate
+LATEST_S = 0.25  # behind its schedule the emulator is as late as this, and no later: then lines are left out
 ANSWER_S = 1.0  # lock-step firmware waits so long for the end of a line from the host
 POT_OPEN, POT_CLOSED = 0.31, 0.74  # of a potentiometer's travel: what auto-ranging has to find out
 
@@ -54,7 +55,9 @@ class Emulator:
         self.not_heard = self.answers = self.forces = 0
         self._trace, self._form, self._full_scale = trace, form, full_scale
         self._lock_step, self._loop, self._count_lines = lock_step, loop, count_lines
-        self._period_s, self._jitter_s, self._drift = 1.0 / rate_hz, jitter_s, 1.0 + drift_ppm * 1e-6
+        self._jitter_s, self._pace = jitter_s, 1.0 + drift_ppm * 1e-6  # seconds of the glove's clock in one of ours
+        self._period_s = 1.0 / (rate_hz * self._pace)
+        self._away = False  # nothing was sent on purpose, and is not made up for
         self._random = random.Random(seed)
         self._time_s = trace.time_s - trace.time_s[0]
         self._flexion, self._abduction = readings_from_angles(trace.flexion_rad, trace.abduction_rad, hand)
@@ -73,22 +76,26 @@ class Emulator:
         while not stopped() and not self.wire.heard():
             time.sleep(0.01)
         time.sleep(OPENED_S)
-        start = due = time.monotonic()
+        start = due = idle = time.monotonic()
         while not stopped() and (duration_s is None or time.monotonic() - start < duration_s):
-            self._listen(due + abs(self._random.gauss(0.0, self._jitter_s)))
-            played = (due - start) / self._drift
+            self._listen(max(due + abs(self._random.gauss(0.0, self._jitter_s)), idle))
+            played = (due - start) * self._pace
             if played > self._time_s[-1] and not self._loop:
                 break
-            length = self._say(played)
             # The wire carries ten bits a byte; the firmware's next turn begins when its buffer is empty.
-            step = max(self._period_s * self._drift, length * 10 / BAUD)
-            due = due + step
-            now = time.monotonic()
+            begun = time.monotonic()
+            carried_s = self._say(played) * 10 / BAUD
+            idle = begun + carried_s
+            step = max(self._period_s, carried_s)
+            due += step
             if self._lock_step:
-                self._await_answer(now + ANSWER_S)
-                due = max(due, time.monotonic())
-            elif due < now - 2.0 * step:
-                due += math.ceil((now - due) / step) * step  # was away: a clock goes on, its lines are not made up for
+                self._await_answer(time.monotonic() + ANSWER_S)
+            # A machine that is busy makes lines late, and they follow as fast as the wire carries them. The clock goes
+            # on meanwhile: where that is not soon enough, lines are left out.
+            now = time.monotonic()
+            if self._away or due < now - LATEST_S:
+                due += max(math.ceil((now - due) / step), 0) * step
+                self._away = False
             told(self)
         if self._held:
             self.wire.send(b"".join(self._held))
@@ -120,6 +127,7 @@ class Emulator:
             self._unplug(away)
             return len(line)
         if quiet := self.faults.wanted("silence"):
+            self._away = True
             self.sent["silence"] += 1
             self._write("silence", b"under force" if any(self.force) else b"")
             self._listen(now + quiet)
@@ -159,6 +167,7 @@ class Emulator:
         self.log.add(time.monotonic(), self._played_s, kind, self._number, content)
 
     def _unplug(self, away_s: float) -> None:
+        self._away = True
         # What is still in the wire would be lost; a test could not tell that from a fault of the host.
         time.sleep(OPENED_S)
         self.wire.unplug()

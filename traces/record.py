@@ -25,7 +25,7 @@ from palmar.traces.pose_source import PoseSource
 
 TICK_S = 0.02  # longest wait: silence and signals are noticed so much later
 FORCE_SILENCE_S = 0.06  # without a good line for so long, no force; with the tick, before a tenth of a second is over
-GAP_S = 0.1  # and after so long the hand is lost, as a replay takes it
+GAP_S = 0.1  # and after so long the trace says that the hand is lost
 FLOOD_BYTES_PER_S = 131072  # eleven times what a glove's serial line carries
 FLOOD_BURST = 262144
 FLOOD_PAUSE_S = 0.005
@@ -257,17 +257,16 @@ class Recorder:
 def summarise_recording(recorder: Recorder, nominal_hz: float | None) -> dict[str, Any]:
     """What was recorded and what was lost, in plain values."""
     tally, arrivals, port = recorder.tally, recorder.arrivals, recorder.port
-    period = arrivals.period_s if arrivals.is_known else math.nan
-    # Where arrivals are too wild for a clock, lines over time is what can be said.
-    plain = tally.decoded / max(recorder.time_s - tally.gap_s, 1e-9)
+    found = arrivals.clock()
     clock: dict[str, float | None] = {
-        "rate_hz": plain if math.isnan(period) else 1.0 / period,
-        "jitter_ms": arrivals.jitter_s * 1e3 if arrivals.is_known else None,
+        # Where arrivals are too wild for a clock, lines over time is what can be said.
+        "rate_hz": 1.0 / found.period_s if found else tally.decoded / max(recorder.time_s - tally.gap_s, 1e-9),
+        "jitter_ms": found.jitter_s * 1e3 if found else None,
     }
     # A device whose rate is another one has no drift from it.
-    if nominal_hz is not None and abs(period * nominal_hz - 1.0) < SAME_RATE:
-        clock["drift_ppm"] = (1.0 / (period * nominal_hz) - 1.0) * 1e6
-        clock["drift_error_ppm"] = arrivals.period_error_s / period * 1e6
+    if found and nominal_hz is not None and abs(found.period_s * nominal_hz - 1.0) < SAME_RATE:
+        clock["drift_ppm"] = (1.0 / (found.period_s * nominal_hz) - 1.0) * 1e6
+        clock["drift_error_ppm"] = found.error_s / found.period_s * 1e6
     rejected = {kind: count for kind, count in tally.rejected.items() if count}
     if recorder.overlong:
         rejected["overlong"] = recorder.overlong

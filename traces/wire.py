@@ -74,7 +74,7 @@ class Pty:
 
     def receive(self, wait_s: float) -> bytes:
         """What the host sent, after at most so long."""
-        self._poll.poll(max(wait_s, 0.0) * 1e3)
+        select.select([self._host], [], [], max(wait_s, 0.0))  # to the microsecond; poll waits whole milliseconds
         with contextlib.suppress(OSError):
             return os.read(self._host, 4096)
         return b""

@@ -109,7 +109,7 @@ def emulate(
     lock_step: Annotated[bool, typer.Option(help="Wait for an answer after each line, up to 1 s.")] = False,
     auto_range: Annotated[bool, typer.Option(help="Scale to the range seen so far, as firmware does.")] = False,
     jitter_ms: Annotated[float, typer.Option(min=0, help="How late lines are, one standard deviation.")] = 0.0,
-    drift_ppm: Annotated[float, typer.Option(help="How much too slow the glove's clock is.")] = 0.0,
+    drift_ppm: Annotated[float, typer.Option(help="How much too fast the glove's clock is; below 0, too slow.")] = 0.0,
     count_lines: Annotated[bool, typer.Option(help="The joystick gives the number of the line.")] = False,
     loop: Annotated[bool, typer.Option(help="Begin again where the trace ends.")] = False,
     duration_s: Duration = None,

@@ -253,7 +253,7 @@ def _recorder_line(meter: RateMeter) -> Callable[[Recorder], str]:
         tally = recorder.tally
         if not recorder.port.is_open:
             return f"{clock(recorder.time_s)}  {tally.samples} samples  waiting for {recorder.port.problem}"
-        jitter = recorder.arrivals.jitter_s * 1e3
+        jitter = recorder.arrivals.recent_jitter_s * 1e3
         spread = "  ..." if math.isnan(jitter) else f"{jitter:5.2f}"
         shares = [math.nan] * 5 if recorder.last is None else _curls(recorder.last.flexion)
         rejected = tally.rejected.total() + recorder.overlong

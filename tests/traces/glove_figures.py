@@ -27,6 +27,7 @@ from palmar.tools.hierarchy import bounds_over
 from palmar.traces.opengloves import Reading, encode_reading
 from palmar.traces.scripted import script
 
+DRIFT_PPM = 200  # of the emulated glove with every fault on
 PALMAR = [sys.executable, "-c", "from palmar.cli import main; main()"]
 
 
@@ -115,7 +116,7 @@ def readings_of(path: Path) -> list[str]:
 def faults_for(seconds: float, folder: Path, share: float = 1.0) -> dict:
     """Every fault of the emulator at 200 lines a second, and what the recorder made of it."""
     moving_trace(folder / "source.mcap")
-    flags = ["--loop", "--count-lines", "--drift-ppm", "80", "--jitter-ms", "0.3", "--fault", f"all={share}"]
+    flags = ["--loop", "--count-lines", "--drift-ppm", str(DRIFT_PPM), "--jitter-ms", "0.3", "--fault", f"all={share}"]
     glove = Glove(folder / "source.mcap", *flags)
     answer, cpu_s = record(glove.port, folder / "faults.mcap", "--rate-hz", "200", "--duration-s", str(seconds))
     emulated = glove.stop()
@@ -247,7 +248,9 @@ def show_faults(figures: dict) -> None:
     print(f"  good lines lost {figures['good_lines_lost']}, readings that no good line was {figures['wrong_readings']}")
     print(f"  lines {recorder['lines']}, rejected {recorder['rejected']}")
     print(f"  broken parts before good lines {recorder['broken parts before good lines']}, gaps {recorder['gaps']}")
-    print(f"  clock {recorder['clock']}, the glove's was 80 ppm slow; CPU {figures['cpu_percent']:.2f} % of a core")
+    lines_s = figures["good_lines_sent"] / figures["seconds"]
+    print(f"  {lines_s:.1f} good lines a second; CPU {figures['cpu_percent']:.2f} % of a core")
+    print(f"  clock {recorder['clock']}, the glove's was {DRIFT_PPM} ppm fast")
 
 
 def main() -> None:
