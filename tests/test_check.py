@@ -13,6 +13,7 @@ from palmar.eval.far_side import far_side_of, on_far_side
 from palmar.eval.judge import Shape
 from palmar.model import load_pack
 from palmar.records import read_run, read_trace
+from palmar.traces.actuator import Feedback
 
 MY_SCENE = """
 kind = "keys"
@@ -73,10 +74,11 @@ def test_a_scene_in_which_the_hand_meets_nothing_shows_nothing_and_fails(run, tm
 def test_forces_have_to_be_gone_and_ends_have_to_be_equal_where_a_scene_asks_for_it(run, tmp_path):
     text = MY_SCENE.format(why="a scene of the tests " * 5, z=0.0)
     lost = 'disturbance = [{ kind = "dropped", at_s = 0.15, for_s = 0.14 }]\nmetrics'
-    # A replay holds the last sample for 0.1 s; only then forces fade.
-    (tmp_path / "lost.toml").write_text(text.replace("metrics", f"force_gone_after_s = 0.05\n{lost}"))
-    code, out, _ = run("check", "lost.toml")
-    assert code == 1 and "lost_force value" in out
+    # A replay holds the last sample for 0.05 s; then forces fade, in as long.
+    for gone_s, kept in ((0.09, False), (0.1, True)):
+        (tmp_path / "lost.toml").write_text(text.replace("metrics", f"force_gone_after_s = {gone_s}\n{lost}"))
+        code, out, _ = run("check", "lost.toml")
+        assert (code == 0) == kept and ("lost_force value" in out) != kept, out
     sweep = 'sweep = [{ "disturbance" = [[], [{ kind = "doubled" }], SECOND] }]\nmetrics'
     for second, same in (
         ('[{ kind = "clock", by_s = -1.0, at_s = 0.1 }]', True),
@@ -87,6 +89,26 @@ def test_forces_have_to_be_gone_and_ends_have_to_be_equal_where_a_scene_asks_for
         )
         code, out, _ = run("check", "ends.toml")
         assert (code == 0) == same and ("FAILS 1: end_place_spread value" in out) != same, out
+
+
+class Wrapping(Feedback):
+    """One that begins again at nothing where it should cut."""
+
+    def levels(self, time_s, tip_force_n, joint_torque_n_m):
+        force_n = np.linalg.norm(tip_force_n, axis=1) * (joint_torque_n_m.sum(axis=1) <= 0)
+        return [round(1000 * (f % self.actuator.cap_n) / self.actuator.cap_n) for f in force_n]
+
+
+def test_commands_to_an_actuator_have_to_reach_its_cap_and_be_the_force_up_to_it(run, tmp_path, monkeypatch):
+    text = MY_SCENE.format(why="a scene of the tests " * 5, z=0.0)
+    for cap_n, said in ((1.0, None), (900.0, "actuator_unused value")):
+        (tmp_path / "played.toml").write_text(text.replace("metrics", f"actuator = {{ cap_n = {cap_n} }}\nmetrics"))
+        code, out, _ = run("check", "played.toml")
+        assert code == (1 if said else 0) and (said is None or said in out), out
+    monkeypatch.setattr("palmar.check.Feedback", Wrapping)
+    (tmp_path / "played.toml").write_text(text.replace("metrics", "actuator = { cap_n = 1.0 }\nmetrics"))
+    code, out, _ = run("check", "played.toml")
+    assert code == 1 and "actuator_error value" in out
 
 
 def test_the_worst_run_of_a_scene_is_kept_with_its_pack_and_trace(run, tmp_path):

@@ -175,6 +175,15 @@ class Region(Strict):
     links: list[Annotated[int, Field(ge=0, le=15)]] | None = None
 
 
+class Played(Strict):
+    """The glove's actuator that the solver's forces go through, as `palmar record --actuator` has it."""
+
+    cap_n: float = Field(default=20.0, ge=0.01, le=1000.0)
+    brake_only: bool = True
+    quantum_n: float = Field(default=0.0, ge=0.0, le=100.0)
+    rate_hz: float = Field(default=200.0, ge=10.0, le=8000.0)  # at which it is commanded
+
+
 class Sampled(Strict):
     """What scenes for `palmar check` have in common: the object, how the motion is sampled, and what is asked."""
 
@@ -200,6 +209,7 @@ class Sampled(Strict):
     force_gone_after_s: float | None = Field(
         default=None, ge=0.0
     )  # since the last tracked sample; then nothing is felt
+    actuator: Played | None = None  # whose commands have to be the solver's forces as far as it can give them
     sweep: list[dict[str, list[Any]]] = []
 
 
@@ -320,6 +330,7 @@ def _known_keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list
         "disturbance": Disturbance,
         "noise": Noise,
         "limits": Limit,
+        "actuator": Played,
         "far_side": Region,
     }
     inner = tables.get(str(location[0])) if len(location) > 1 else None

@@ -24,8 +24,10 @@ from palmar.records import Run, Trace, read_run, read_trace, write_trace
 from palmar.replay import replay_file
 from palmar.tools.hand_file import default_hand
 from palmar.tools.lattice import scene_object
+from palmar.traces.actuator import Actuator, Feedback
 from palmar.traces.keyframes import key_trace
-from palmar.traces.scene_file import Sampled, cases_of, check_scene
+from palmar.traces.opengloves import FORCE_FULL_SCALE
+from palmar.traces.scene_file import Played, Sampled, cases_of, check_scene
 from palmar.traces.scripted import SCENES, load_scene
 
 FELT_N = 0.05  # a force below it says nothing of a contact
@@ -221,6 +223,8 @@ def _run_case(
             rows.append(_settled_row(Case(run, pack, "object"), scene.settled_after_steps))
         if scene.force_gone_after_s is not None:
             rows.append(_lost_force_row(run, read_trace(files_of(folder)[0]), scene.force_gone_after_s))
+        if scene.actuator is not None:
+            rows += _actuator_rows(run, scene.actuator)
         tally.see(run, case)
         if tally.take(rows, case, start, scene.figures) and out is not None:
             assert tally.worst is not None
@@ -287,6 +291,25 @@ def _lost_force_row(run: Run, samples: Trace, after_s: float) -> Row:
     force_n = np.linalg.norm(np.hstack([run.fingertip_force_n.reshape(-1, 15), run.palm_force_n]), axis=1)
     lost = since_s > after_s + 1e-9  # rounding of the times
     return _row("lost_force", "N", float(force_n[lost].max(initial=0.0)), 0.0)
+
+
+def _actuator_rows(run: Run, played: Played) -> list[Row]:
+    """How far commands are from the force on their fingertip, cut at the cap and 0 where it would close the finger, in
+    N beyond a quantum of the actuator; and how much of the cap was never asked for, since that would show nothing."""
+    feedback = Feedback(Actuator(played.cap_n, played.brake_only, quantum_n=played.quantum_n))
+    steps = np.unique(np.searchsorted(run.time_s, np.arange(run.time_s[0], run.time_s[-1], 1.0 / played.rate_hz)))
+    levels = np.array(
+        [feedback.levels(float(run.time_s[k]), run.fingertip_force_n[k], run.joint_torque_n_m[k]) for k in steps]
+    )
+    force_n = np.linalg.norm(run.fingertip_force_n[steps], axis=2)
+    if played.brake_only:
+        force_n = np.where(run.joint_torque_n_m[steps].sum(axis=2) > 0, 0.0, force_n)
+    off_n = np.abs(levels / FORCE_FULL_SCALE * played.cap_n - np.minimum(force_n, played.cap_n))
+    quantum_n = max(played.quantum_n, played.cap_n / FORCE_FULL_SCALE)
+    return [
+        _row("actuator_error", "N", max(float(off_n.max()) - quantum_n, 0.0), 0.0),
+        _row("actuator_unused", "N", max(played.cap_n - float(force_n.max()), 0.0), 0.0),
+    ]
 
 
 def _row(name: str, unit: str, value: float, limit: float) -> Row:
