@@ -17,8 +17,8 @@ from flatbuffers.table import Table
 from mcap.reader import make_reader
 
 from palmar.errors import BadTrace, PalmarError
-from palmar.traces.recording import JOINT_NAMES, JOINT_POINTS, Recording, in_palm
-from palmar.traces.webxr import PALM_AXES, SIDES
+from palmar.traces.recording import Recording
+from palmar.traces.webxr import SIDES, recording_of_joints
 
 DEVICE = "isaac-teleop"
 SCHEMA = "core.HandPoseRecord"
@@ -69,35 +69,14 @@ def read_isaac_teleop(path: str | Path, *, side: str = "right") -> Recording:
     seen &= np.isfinite(position[:, used]).all(axis=(1, 2))
     if not seen.any():
         raise BadTrace("E-TRACE-EMPTY", f"{path}:{topic}", "no record has a hand with all joints valid")
-    last = np.maximum.accumulate(np.where(seen, np.arange(len(seen)), -1))
-    last[last < 0] = int(np.argmax(seen))
-    rotation = (rotation / np.where(length, length, 1.0)[:, None])[last]
-    flips = np.where((rotation[1:] * rotation[:-1]).sum(axis=1) < 0, -1.0, 1.0)
-    rotation *= np.concatenate([[1.0], np.cumprod(flips)])[:, None]
-    wrist = position[last, WRIST]
-    chains = in_palm(position[last][:, np.array(CHAINS)], wrist, rotation)
-    points = chains[:, :, 1:].copy()
-    points[~seen] = np.nan
-    return Recording(
-        device=DEVICE,
-        source=path.name,
-        sha256=hashlib.sha256(content).hexdigest(),
-        side=side,
+    return recording_of_joints(
+        *(DEVICE, path.name, hashlib.sha256(content).hexdigest(), side),
         time_s=time_s,
-        palm_position_m=wrist,
-        palm_rotation_wxyz=rotation,
-        palm_seen=seen,
-        palm_axes=PALM_AXES,
-        knuckle_m=chains[:, :, 0],
-        points_m=points,
-        phalanx=JOINT_POINTS,
-        point_names=JOINT_NAMES,
-        weight=np.ones(len(time_s)),
-        assumptions=(
-            f"Topic {topic}; times are those of the samples on the host's clock, from the first.",
-            "The palm is rigid with the wrist joint; metacarpals other than the thumb's are taken as part of it.",
-            "Only positions of joints are used, not their rotations; a tip is the end of the last phalanx.",
-        ),
+        wrist_m=position[:, WRIST],
+        wrist_wxyz=rotation,
+        chains_m=position[:, np.array(CHAINS)],
+        seen=seen,
+        assumption=f"Topic {topic}; times are those of the samples on the host's clock, from the first.",
     )
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from palmar.errors import PalmarError
 from palmar.traces.columns import read_log, unit_quaternions
+from palmar.traces.kinematics import Array
 from palmar.traces.recording import JOINT_NAMES, JOINT_POINTS, Recording, in_palm
 
 DEVICE = "webxr"
@@ -37,26 +39,61 @@ def read_webxr(path: str | Path, *, side: str = "right") -> Recording:
     log = read_log(path, COLUMNS, "t_s", optional=("pinch_value",))
     position, rotation = log.stack(POSITION["wrist"]), unit_quaternions(log, ROTATION["wrist"])
     chains = np.stack([np.stack([log.stack(POSITION[j]) for j in chain], axis=1) for chain in CHAINS], axis=1)
-    chains = in_palm(chains, position, rotation)
-    count = len(position)
-    return Recording(
-        device=DEVICE,
-        source=Path(path).name,
-        sha256=log.sha256,
-        side=side,
+    return recording_of_joints(
+        *(DEVICE, Path(path).name, log.sha256, side),
         time_s=log.columns["t_s"],
-        palm_position_m=position,
+        wrist_m=position,
+        wrist_wxyz=rotation,
+        chains_m=chains,
+        seen=np.ones(len(position), dtype=bool),
+        assumption=f"It is a {side} hand; the log does not say.",
+    )
+
+
+def recording_of_joints(
+    device: str,
+    source: str,
+    sha256: str,
+    side: str,
+    *,
+    time_s: Array,
+    wrist_m: Array,
+    wrist_wxyz: Array,
+    chains_m: Array,
+    seen: NDArray[np.bool_],
+    assumption: str,
+) -> Recording:
+    """A hand of OpenXR or WebXR joints, whose palm frame is the wrist's.
+
+    wrist_m (n, 3), wrist_wxyz (n, 4), about of unit length, chains_m (n, 5, 4, 3): world, first joint to tip of each
+    finger. seen (n,), one at least: other frames have the palm of the one before, and no points.
+    """
+    last = np.maximum.accumulate(np.where(seen, np.arange(len(seen)), -1))
+    last[last < 0] = int(np.argmax(seen))
+    rotation = wrist_wxyz[last] / np.linalg.norm(wrist_wxyz[last], axis=1, keepdims=True)
+    flips = np.where((rotation[1:] * rotation[:-1]).sum(axis=1) < 0, -1.0, 1.0)
+    rotation *= np.concatenate([[1.0], np.cumprod(flips)])[:, None]
+    chains = in_palm(chains_m[last], wrist_m[last], rotation)
+    points = chains[:, :, 1:].copy()
+    points[~seen] = np.nan
+    return Recording(
+        device=device,
+        source=source,
+        sha256=sha256,
+        side=side,
+        time_s=time_s,
+        palm_position_m=wrist_m[last],
         palm_rotation_wxyz=rotation,
-        palm_seen=np.ones(count, dtype=bool),
+        palm_seen=seen,
         palm_axes=PALM_AXES,
         knuckle_m=chains[:, :, 0],
-        points_m=chains[:, :, 1:],
+        points_m=points,
         phalanx=JOINT_POINTS,
         point_names=JOINT_NAMES,
-        weight=np.ones(count),
+        weight=np.ones(len(seen)),
         assumptions=(
-            f"It is a {side} hand; the log does not say.",
+            assumption,
             "The palm is rigid with the wrist joint; metacarpals other than the thumb's are taken as part of it.",
-            "Only positions of joints are used, not their rotations; a WebXR tip is the end of the last phalanx.",
+            "Only positions of joints are used, not their rotations; a tip is the end of the last phalanx.",
         ),
     )

@@ -16,8 +16,8 @@ import numpy as np
 
 from palmar.errors import BadTrace, PalmarError
 from palmar.traces.kinematics import Array, multiply, rotate
-from palmar.traces.recording import JOINT_NAMES, JOINT_POINTS, Recording, in_palm
-from palmar.traces.webxr import CHAINS, JOINTS, PALM_AXES, SIDES
+from palmar.traces.recording import Recording
+from palmar.traces.webxr import CHAINS, JOINTS, SIDES, recording_of_joints
 
 DEVICE = "webxr-json"
 RAY, JOINT = 7, 8  # numbers of a pose, and of a joint: position, quaternion, radius
@@ -56,35 +56,18 @@ def read_webxr_json(path: str | Path, *, side: str = "right") -> Recording:
     seen = np.array([row is not None for row in rows], dtype=bool)
     if not seen.any():
         raise BadTrace("E-TRACE-EMPTY", str(path), f"no frame has the {side} hand")
-    last = np.maximum.accumulate(np.where(seen, np.arange(len(rows)), -1))
-    last[last < 0] = int(np.argmax(seen))
-    numbers = np.stack([rows[k] for k in last])  # type: ignore[misc]
+    numbers = np.stack([rows[int(np.argmax(seen))] if row is None else row for row in rows])  # type: ignore[misc]
     position, rotation = _joints(numbers, order)
-    wrist = _continuous(rotation[:, JOINTS.index("wrist")])
-    chains = np.stack([np.stack([position[:, JOINTS.index(j)] for j in chain], axis=1) for chain in CHAINS], axis=1)
-    chains = in_palm(chains, position[:, JOINTS.index("wrist")], wrist)
-    points = chains[:, :, 1:].copy()
-    points[~seen] = np.nan
-    return Recording(
-        device=DEVICE,
-        source=path.name,
-        sha256=hashlib.sha256(content).hexdigest(),
-        side=side,
+    wrist = JOINTS.index("wrist")
+    return recording_of_joints(
+        *(DEVICE, path.name, hashlib.sha256(content).hexdigest(), side),
         time_s=time_s - time_s[0],
-        palm_position_m=position[:, JOINTS.index("wrist")],
-        palm_rotation_wxyz=wrist,
-        palm_seen=seen,
-        palm_axes=PALM_AXES,
-        knuckle_m=chains[:, :, 0],
-        points_m=points,
-        phalanx=JOINT_POINTS,
-        point_names=JOINT_NAMES,
-        weight=np.ones(len(time_s)),
-        assumptions=(
-            "Times are those of the browser's callback, from the first frame; numbers are rounded to 1 mm and 0.001.",
-            "The palm is rigid with the wrist joint; metacarpals other than the thumb's are taken as part of it.",
-            "Only positions of joints are used, not their rotations; a WebXR tip is the end of the last phalanx.",
-        ),
+        wrist_m=position[:, wrist],
+        wrist_wxyz=rotation[:, wrist],
+        chains_m=position[:, np.array([[JOINTS.index(joint) for joint in chain] for chain in CHAINS])],
+        seen=seen,
+        assumption="Times are those of the browser's callback, from the first frame; numbers are rounded to 1 mm and "
+        "0.001.",
     )
 
 
@@ -109,8 +92,3 @@ def _joints(numbers: Array, order: list[int]) -> tuple[Array, Array]:
 
 def _wxyz(xyzw: Array) -> Array:
     return np.roll(xyzw / np.linalg.norm(xyzw, axis=-1, keepdims=True), 1, axis=-1)
-
-
-def _continuous(wxyz: Array) -> Array:
-    flips = np.where((wxyz[1:] * wxyz[:-1]).sum(axis=1) < 0, -1.0, 1.0)
-    return wxyz * np.concatenate([[1.0], np.cumprod(flips)])[:, None]
