@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 LEARN = 200  # lines before there is a clock
 RECENT = 200  # lines that the jitter of the moment is of
 LONGEST_GAP = 20  # periods: after a longer silence the clock may stand anywhere, and a new stretch begins
-SEARCHED = 0.04  # the period is this near to the median interval
+SEARCHED = 0.06  # the period is this near to the usual interval
 BLOCK = 100  # lines whose phase is looked at together first
 LONGER = 4  # so many blocks make the next one
 PARTS = 8  # of the recording, taken as independent of each other
@@ -69,6 +69,9 @@ def find_clock(times_s: NDArray[np.float64]) -> Clock | None:
         return None
     apart_s = np.diff(time_s)
     usual_s = float(np.median(apart_s))
+    # Where lines come in lots, intervals are too long; there are as many lines as there are, but for those lost.
+    near = apart_s <= LONGEST_GAP * usual_s
+    usual_s = min(usual_s, float(apart_s[near].sum()) / (len(times_s) - 1 - int((~near).sum())))
     stretch = np.concatenate([[0], np.cumsum(apart_s > LONGEST_GAP * usual_s)])
     longest_s = max(float(np.ptp(part)) for part in np.split(time_s, np.flatnonzero(np.diff(stretch)) + 1))
     rate, reach, length_s, in_short = 1.0 / usual_s, SEARCHED / usual_s, BLOCK * usual_s, 0.0

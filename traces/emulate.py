@@ -21,7 +21,7 @@ from palmar.traces.wire import OPENED_S, Pty, Server
 
 BAUD = 115200
 USUAL_HZ = 200.0  # what the firmware comes to at this baud rate
-LATEST_S = 0.25  # behind its schedule the emulator is as late as this, and no later: then lines are left out
+LATEST_S = 0.25  # that a busy machine may make lines late; where it is later they are left out
 ANSWER_S = 1.0  # lock-step firmware waits so long for the end of a line from the host
 POT_OPEN, POT_CLOSED = 0.31, 0.74  # of a potentiometer's travel: what auto-ranging has to find out
 
@@ -78,20 +78,21 @@ class Emulator:
         time.sleep(OPENED_S)
         start = due = idle = time.monotonic()
         while not stopped() and (duration_s is None or time.monotonic() - start < duration_s):
-            self._listen(max(due + abs(self._random.gauss(0.0, self._jitter_s)), idle))
+            begins = max(due + abs(self._random.gauss(0.0, self._jitter_s)), idle)
+            self._listen(begins)
             played = (due - start) * self._pace
             if played > self._time_s[-1] and not self._loop:
                 break
             # The wire carries ten bits a byte; the firmware's next turn begins when its buffer is empty.
-            begun = time.monotonic()
+            # A glove does not know how busy this machine is: lines that would have come by now are sent at once. One
+            # that waits for an answer goes on when it has it.
+            idle = time.monotonic() if self._lock_step else begins
             carried_s = self._say(played) * 10 / BAUD
-            idle = begun + carried_s
+            idle += carried_s
             step = max(self._period_s, carried_s)
             due += step
             if self._lock_step:
                 self._await_answer(time.monotonic() + ANSWER_S)
-            # A machine that is busy makes lines late, and they follow as fast as the wire carries them. The clock goes
-            # on meanwhile: where that is not soon enough, lines are left out.
             now = time.monotonic()
             if self._away or due < now - LATEST_S:
                 due += max(math.ceil((now - due) / step), 0) * step

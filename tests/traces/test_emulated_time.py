@@ -113,15 +113,15 @@ def test_the_drift_of_a_glove_is_stated_whatever_happens_to_its_lines(tmp_path, 
 
 
 @pytest.mark.parametrize("lock_step", [False, True])
-def test_lines_that_a_busy_machine_makes_late_are_made_up_for_at_the_pace_of_the_wire(
-    tmp_path, hand, monkeypatch, lock_step
-):
+def test_lines_that_a_busy_machine_makes_late_are_made_up_for(tmp_path, hand, monkeypatch, lock_step):
     sent = sent_by(tmp_path, hand, monkeypatch, 30.0, lock_step=lock_step)
     times = [came_s for came_s, _ in sent]
     # Two lines in a thousand are held up for up to 0.1 s, answers come after 2 ms on average: none is left out.
     assert len(sent) == pytest.approx(30.0 * 200.0, abs=25)
     apart = [after - before for before, after in itertools.pairwise(times)]
-    assert max(apart) > 0.05 and min(apart) >= min(len(content) for _, content in sent) * 10 / 115200 - 1e-9
+    assert max(apart) > 0.05
+    if lock_step:  # after a late answer no faster than the wire carries them
+        assert min(apart) >= min(len(content) for _, content in sent) * 10 / 115200 - 1e-9
 
 
 def test_a_silence_is_not_made_up_for(tmp_path, hand, monkeypatch):
