@@ -1,21 +1,41 @@
-"""The same poses, forces and contacts from every compiler and optimisation: builds hash_step with each and compares.
+"""The same poses, forces and contacts from every compiler, optimisation, instruction set and number of threads.
 
-python tests/runtime/same_bits.py [FOLDER]  (some minutes; the folder keeps the builds, build/same_bits if left out)
+python tests/runtime/same_bits.py [--folder build/same_bits] [--all] [SCENE...]
+
+Builds the library with each and compares what `hash_step` (each solver, wild motions, three objects) and `hash_runs`
+(scenes as files, in 1, 2, 4 and 8 threads at once) say, each three times. Prints a table of Markdown; exit code 1 where
+two differ. The folder keeps the builds. Twelve builds, or eighteen with --all: half an hour of a processor.
 """
 
+import argparse
 import hashlib
+import json
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+from palmar.records import read_run
+
 TOP = Path(__file__).resolve().parents[2]
 BIN = Path(sys.executable).parent
 COMPILERS = [name for name in ("g++", "clang++", "clang++-19") if shutil.which(name)]
-FLAGS = ("-O0", "-O2", "-O3", "-O3 -DNDEBUG")
-# Instruction sets of everything, not of the wide loops alone.
-SETS = ("-O3 -march=x86-64-v3",)
+# What is optimised, and for which machine all of it is compiled: not the wide loops alone, which choose by themselves.
+LEVELS = ("-O0", "-O2", "-O3", "-O3 -DNDEBUG")
+MACHINES = ("-march=x86-64-v3", "-march=x86-64-v4")  # AVX2, AVX-512
+THREADS = (1, 2, 4, 8)
+REPEATS = 3
+SCENES = (
+    *("two_ears", "slide_ripple", "deep_press", "hold_noise", "samples_dropped", "object_hits_hand", "thin_shell"),
+    "concave_notch",
+)
+
+
+def flags_of(every: bool) -> list[str]:
+    """Flags of each build."""
+    with_machine = LEVELS[:3] if every else ("-O3",)
+    return [*LEVELS, *(f"{level} {machine}" for machine in MACHINES for level in with_machine)]
 
 
 def build(compiler: str, flags: str, folder: Path) -> Path:
@@ -26,26 +46,62 @@ def build(compiler: str, flags: str, folder: Path) -> Path:
         "-DCMAKE_BUILD_TYPE=Plain",  # no flags but these
         f"-DPython_EXECUTABLE={sys.executable}",
     ]
-    for command in (configure, [BIN / "cmake", "--build", folder, "--target", "hash_step_dispatched"]):
+    make = [BIN / "cmake", "--build", folder, "--parallel", "1", "--target", "hash_step_dispatched", "hash_runs"]
+    for command in (configure, make):
         done = subprocess.run(command, env=environment, capture_output=True, text=True)
         if done.returncode:
             sys.exit(done.stdout + done.stderr)
-    return folder / "hash_step_dispatched"
+    return folder
 
 
-def main(folder: Path) -> int:
-    said = {}
+def make_scenes(names: list[str], folder: Path) -> list[str]:
+    """Pack, trace, object and settings of the worst run of each scene, as this machine's palmar finds it."""
+    if not folder.exists():
+        check = [BIN / "palmar", "check", *names, "--quick", "--runs", "-o", folder]
+        if subprocess.run(check, stdout=subprocess.DEVNULL).returncode not in (0, 1):
+            sys.exit(2)
+    inputs = []
+    for path in sorted(folder.rglob("*.run.mcap")):
+        header = read_run(path).header
+        trace = path.with_name(path.name.replace(".run.mcap", ".mcap"))
+        pack = path.with_name(path.name.replace(".run.mcap", ".pack"))
+        settings = json.loads(header["settings"])
+        inputs += [str(pack), str(trace), header["object"], json.dumps(settings)]
+    return inputs
+
+
+def said_by(command: list[str | Path]) -> str:
+    """What all repeats print; each different answer, if there is more than one."""
+    answers = {subprocess.run(command, capture_output=True, check=True, text=True).stdout for _ in range(REPEATS)}
+    return "".join(sorted(answers))
+
+
+def digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", nargs="*", default=SCENES)
+    parser.add_argument("--folder", type=Path, default=TOP / "build" / "same_bits")
+    parser.add_argument("--all", action="store_true", help="-O0 and -O2 for each machine as well")
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    inputs = make_scenes(list(options.scenes), options.folder / "scenes")
+    print(f"{len(inputs) // 4} scenes, each in {', '.join(map(str, THREADS))} threads, {REPEATS} repeats\n")
+    print("| build | solvers on made objects | scenes |\n| --- | --- | --- |")
+    answers = set()
     for compiler in COMPILERS:
-        for flags in (*FLAGS, *SETS):
-            program = build(compiler, flags, folder / f"{compiler} {flags}".replace(" ", "_"))
-            runs = {subprocess.run([program, "dispatched"], capture_output=True, check=True).stdout for _ in range(3)}
-            digests = sorted(hashlib.sha256(output).hexdigest()[:16] for output in runs)
-            said[compiler, flags] = digests
-            print(f"{compiler} {flags}: {' '.join(digests)}", flush=True)
-    different = {digest for digests in said.values() for digest in digests}
-    print(f"{len(said)} builds, 3 runs each: {len(different)} different answer(s)")
-    return int(len(different) != 1)
+        for flags in flags_of(options.all):
+            folder = build(compiler, flags, options.folder / f"{compiler} {flags}".replace(" ", "_"))
+            steps = said_by([folder / "hash_step_dispatched", "dispatched"])
+            runs = {said_by([folder / "hash_runs", str(threads), *inputs]) for threads in THREADS}
+            answers.add((steps, *sorted(runs)))
+            (folder / "said.txt").write_text(steps + "".join(sorted(runs)))
+            print(f"| {compiler} {flags} | {digest(steps)} | {' '.join(map(digest, sorted(runs)))} |", flush=True)
+    print(f"\n{len(answers)} different answer(s)")
+    return int(len(answers) != 1)
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]) if len(sys.argv) > 1 else TOP / "build" / "same_bits"))
+    sys.exit(main())
