@@ -88,9 +88,8 @@ def main() -> int:
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     inputs = make_scenes(list(options.scenes), options.folder / "scenes")
-    print(
-        f"{len(inputs) // 4} scenes\n\n| build | threads | solvers on made objects | scenes |\n| --- | --- | --- | --- |"
-    )
+    print(f"{len(inputs) // 4} scenes\n")
+    print("| build | threads | solvers on made objects | scenes |\n| --- | --- | --- | --- |")
     answers = set()
     for flags, compiler in product(flags_of(options.all), COMPILERS):
         folder = build(compiler, flags, options.folder / f"{compiler} {flags}".replace(" ", "_"))
@@ -99,10 +98,8 @@ def main() -> int:
         runs = sorted({said_by(folder / "hash_runs", str(count), *inputs) for count in threads})
         answers.add((steps, *runs))
         (folder / "said.txt").write_text(steps + "".join(runs))
-        print(
-            f"| {compiler} {flags} | {', '.join(map(str, threads))} | {digest(steps)} | {' '.join(map(digest, runs))} |",
-            flush=True,
-        )
+        counts, digests = ", ".join(map(str, threads)), " ".join(map(digest, runs))
+        print(f"| {compiler} {flags} | {counts} | {digest(steps)} | {digests} |", flush=True)
     print(f"\n{len(answers)} different answer(s)")
     return int(len(answers) != 1)
 
