@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 CORE := $(wildcard runtime/CMakeLists.txt runtime/*.in runtime/src/* runtime/include/palmar/*)
 MODULES := $(sort $(wildcard runtime/palmar/*.py tools/*.py traces/*.py eval/*.py))
 
-.PHONY: demo test fuzz fuzz-readers bench programs lint format clean names
+.PHONY: demo test fuzz fuzz-readers bench programs lint tidy licences sbom lowest format clean names
 
 demo: .venv/installed
 	@echo "== demo: built-in objects, a scripted grasp, replay, report"
@@ -50,7 +50,7 @@ bench: programs
 
 programs: .venv/installed
 	@echo "== C++ tests and measuring programs (build/tests)"
-	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/tests -G Ninja -DPALMAR_TESTS=ON -DPALMAR_SHARED=ON -DCMAKE_BUILD_TYPE=Release \
+	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/tests -G Ninja -DPALMAR_TESTS=ON -DPALMAR_SHARED=ON -DCMAKE_BUILD_TYPE=Release -DCMAKE_EXPORT_COMPILE_COMMANDS=ON \
 	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
 	@$(BIN)/cmake --build build/tests -- --quiet
 
@@ -59,6 +59,26 @@ lint: .venv/linters
 	$(BIN)/ruff format --check .
 	$(BIN)/clang-format --dry-run --Werror $(wildcard runtime/src/*.cpp runtime/src/*.h runtime/include/palmar/*.h tests/runtime/*.cpp tests/runtime/*.h tests/consumer/*.c tests/fuzz/*.cpp tests/fuzz/*.h)
 	$(BIN)/mypy
+
+# Some minutes: not part of lint. Its checks, and why these, stand in .clang-tidy.
+tidy: .venv/linters programs
+	@$(BIN)/run-clang-tidy.py -quiet -j 2 -clang-tidy-binary $(BIN)/clang-tidy -p build/tests 'runtime/src/[^/]*\.cpp$$'
+
+# What an installation brings, and under which licence; as CycloneDX in build/sbom.json.
+licences: .venv/installed
+	@$(BIN)/python tests/supply.py licences > docs/licences.md
+
+sbom: .venv/linters
+	@$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --output-file build/sbom.json $(BIN)/python
+
+# The oldest versions that pyproject.toml allows, in an environment of their own, and the tests that meet them most.
+lowest: .venv/installed
+	@$(PYTHON) -m venv build/lowest
+	@$(BIN)/python tests/supply.py lowest > build/lowest.txt
+	@build/lowest/bin/python -m pip --quiet --disable-pip-version-check install . -r build/lowest.txt
+	@build/lowest/bin/python -m pytest -p no:cacheprovider $(LOWEST)
+LOWEST ?= tests/test_cli.py tests/test_bad_input.py tests/test_tables.py tests/tools/test_mesh.py tests/tools/test_pack.py \
+  tests/tools/test_shapes.py tests/traces/test_column_map.py tests/traces/test_isaac_teleop.py tests/eval/test_report.py
 
 format: .venv/linters
 	$(BIN)/ruff check --fix .
