@@ -6,6 +6,7 @@ Hypothesis chooses and shrinks the changes. `pytest tests/test_fuzz_readers.py -
 import json
 import re
 import signal
+import warnings
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -268,7 +269,8 @@ def test_a_changed_file_is_refused_in_one_line_or_keeps_every_promise(name, fold
     @given(st.lists(EDIT, min_size=1, max_size=4))
     def changed(edits):
         path.write_bytes(edited(sample(folder), edits))
-        with bounded_time():
+        with bounded_time(), warnings.catch_warnings():
+            warnings.simplefilter("error")  # it would be another line for the user
             try:
                 reader.read(path)
             except PalmarError as error:

@@ -22,8 +22,8 @@ std::string hashes_of(const std::vector<std::string>& inputs, const std::string&
   std::string said;
   for (std::size_t i = 0; i + 3 < inputs.size(); i += 4) {
     try {
-      said += replay(inputs[i], inputs[i + 1], out, inputs[i + 2], parse_settings(inputs[i + 3]), {}, {})
-                  .content_fnv1a64;
+      said +=
+          replay(inputs[i], inputs[i + 1], out, inputs[i + 2], parse_settings(inputs[i + 3]), {}, {}).content_fnv1a64;
     } catch (const Error& error) {
       said += error.what();
     }
@@ -42,9 +42,8 @@ int main(int argc, char** argv) {
   std::vector<std::string> said(std::size_t(std::max(1, std::atoi(argv[1]))));
   std::vector<std::thread> threads;
   for (std::size_t k = 0; k < said.size(); ++k)
-    threads.emplace_back([&, k] {
-      said[k] = hashes_of(inputs, place + std::to_string(getpid()) + "_" + std::to_string(k) + ".mcap");
-    });
+    threads.emplace_back(
+        [&, k] { said[k] = hashes_of(inputs, place + std::to_string(getpid()) + "_" + std::to_string(k) + ".mcap"); });
   for (std::thread& thread : threads) thread.join();
   for (const std::string& one : said)
     if (one != said.front()) {

@@ -1,10 +1,10 @@
 """The same poses, forces and contacts from every compiler, optimisation, instruction set and number of threads.
 
-python tests/runtime/same_bits.py [--folder build/same_bits] [--all] [SCENE...]
+python tests/runtime/same_bits.py [--all] [--only c++ "-O3 -march=x86-64-v3"]... [SCENE...]
 
 Builds the library with each and compares what `hash_step` (each solver, wild motions, three objects) and `hash_runs`
 (scenes as files, in 1, 2, 4 and 8 threads at once, so each fifteen times) say. Prints a table of Markdown; exit code 1
-where two differ. The folder keeps the builds. Twelve builds, or eighteen with --all: half an hour of a processor.
+where two differ. Builds stay under build/same_bits_*. Twelve builds, or twenty with --all: half an hour of a processor.
 """
 
 import argparse
@@ -21,7 +21,8 @@ from palmar.records import read_run
 
 TOP = Path(__file__).resolve().parents[2]
 BIN = Path(sys.executable).parent
-COMPILERS = [name for name in ("g++", "clang++", "clang++-19") if shutil.which(name)]
+# c++ is what `make test` builds with.
+COMPILERS = [name for name in ("c++", "clang++", "clang++-19") if shutil.which(name)]
 # What is optimised, and for which machine all of it is compiled: not the wide loops alone, which choose by themselves.
 LEVELS = ("-O3", "-O0", "-O2", "-O3 -DNDEBUG")
 MACHINES = ("-march=x86-64-v3", "-march=x86-64-v4")  # AVX2, AVX-512
@@ -44,8 +45,9 @@ def build(compiler: str, flags: str, folder: Path) -> Path:
     environment = os.environ | {"PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"}
     configure = [
         *(BIN / "cmake", "-S", TOP / "runtime", "-B", folder, "-G", "Ninja", "-DPALMAR_TESTS=ON"),
-        *(f"-DCMAKE_CXX_COMPILER={compiler}", f"-DCMAKE_CXX_FLAGS={flags}"),
-        "-DCMAKE_BUILD_TYPE=Plain",  # no flags but these
+        # Release is -O3; Plain has no flags but these.
+        *(f"-DCMAKE_CXX_COMPILER={compiler}", f"-DCMAKE_CXX_FLAGS={flags.removeprefix('-O3')}"),
+        f"-DCMAKE_BUILD_TYPE={'Release' if flags.startswith('-O3') else 'Plain'}",
         f"-DPython_EXECUTABLE={sys.executable}",
     ]
     make = [BIN / "cmake", "--build", folder, "--parallel", "1", "--target", "hash_step_dispatched", "hash_runs"]
@@ -72,6 +74,10 @@ def make_scenes(names: list[str], folder: Path) -> list[str]:
     return inputs
 
 
+def name_of(compiler: str) -> str:
+    return said_by(compiler, "--version").splitlines()[0]
+
+
 def said_by(*command: str | Path) -> str:
     return subprocess.run(command, capture_output=True, check=True, text=True).stdout
 
@@ -83,23 +89,23 @@ def digest(text: str) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", default=SCENES)
-    parser.add_argument("--folder", type=Path, default=TOP / "build" / "same_bits")
     parser.add_argument("--all", action="store_true", help="-O0 and -O2 for each machine as well")
+    parser.add_argument("--only", nargs=2, action="append", metavar=("COMPILER", "FLAGS"), help="may be repeated")
     options = parser.parse_args()
-    options.folder.mkdir(parents=True, exist_ok=True)
-    inputs = make_scenes(list(options.scenes), options.folder / "scenes")
+    inputs = make_scenes(list(options.scenes), TOP / "build" / "same_bits_scenes")
     print(f"{len(inputs) // 4} scenes\n")
     print("| build | threads | solvers on made objects | scenes |\n| --- | --- | --- | --- |")
     answers = set()
-    for flags, compiler in product(flags_of(options.all), COMPILERS):
-        folder = build(compiler, flags, options.folder / f"{compiler} {flags}".replace(" ", "_"))
+    for compiler, flags in options.only or [(c, f) for f, c in product(flags_of(options.all), COMPILERS)]:
+        slug = f"{compiler}_{flags}".replace(" ", "_")
+        folder = build(compiler, flags, TOP / "build" / f"same_bits_{slug}")
         threads = UNOPTIMISED_THREADS if "-O0" in flags else THREADS
         steps = said_by(folder / "hash_step_dispatched", "dispatched")
         runs = sorted({said_by(folder / "hash_runs", str(count), *inputs) for count in threads})
         answers.add((steps, *runs))
         (folder / "said.txt").write_text(steps + "".join(runs))
         counts, digests = ", ".join(map(str, threads)), " ".join(map(digest, runs))
-        print(f"| {compiler} {flags} | {counts} | {digest(steps)} | {digests} |", flush=True)
+        print(f"| {name_of(compiler)} {flags} | {counts} | {digest(steps)} | {digests} |", flush=True)
     print(f"\n{len(answers)} different answer(s)")
     return int(len(answers) != 1)
 

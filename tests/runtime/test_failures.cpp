@@ -49,7 +49,8 @@ __attribute__((noinline)) void* operator new(std::size_t size) {
 __attribute__((noinline)) void operator delete(void* p) noexcept { std::free(p); }
 __attribute__((noinline)) void operator delete(void* p, std::size_t) noexcept { std::free(p); }
 
-// Each way by which the writers and the readers of MCAP reach a file. A file that fails to close is closed all the same.
+// Each way by which the writers and the readers of MCAP reach a file. A file that fails to close is closed all the
+// same.
 extern "C" {
 FILE* fopen(const char* path, const char* mode) {
   static auto* const open = original(&fopen, "fopen");
@@ -162,7 +163,8 @@ void make_pack() {
   store(kPack, std::string(reinterpret_cast<const char*>(&size), 8) + text + data);
 }
 
-// Fails `work` at each place where `left` can. What it writes is `out`, "" for nothing. Gives how many places there are.
+// Fails `work` at each place where `left` can. What it writes is `out`, "" for nothing. Gives how many places there
+// are.
 long fail_everywhere(std::atomic<long>& left, const std::string& out, const std::function<void()>& work) {
   const std::set<std::string> before = names();
   const std::string earlier = out.empty() ? "" : content(out);
