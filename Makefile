@@ -90,7 +90,7 @@ wheels:
 # Lines and branches that the tests reach: of the core by gcc's counters, of Python by coverage.py. Some ten minutes each.
 coverage: coverage-core coverage-python
 coverage-core: .venv/audit
-	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/coverage -G Ninja -DPALMAR_TESTS=ON -DCMAKE_BUILD_TYPE=Plain -DCMAKE_CXX_FLAGS="--coverage -O1 -g" \
+	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/coverage -G Ninja -DPALMAR_TESTS=ON -DCMAKE_BUILD_TYPE=Plain -DCMAKE_CXX_FLAGS="--coverage -O0" \
 	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
 	@$(BIN)/cmake --build build/coverage -- --quiet
 	@$(BIN)/ctest --test-dir build/coverage --output-on-failure

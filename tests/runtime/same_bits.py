@@ -1,6 +1,6 @@
 """The same poses, forces and contacts from every compiler, optimisation, instruction set and number of threads.
 
-python tests/runtime/same_bits.py [--all] [--only c++ "-O3 -march=x86-64-v3"]... [SCENE...]
+python tests/runtime/same_bits.py [--all] [--only "c++ -O3 -march=x86-64-v3"]... [SCENE...]
 
 Builds the library with each and compares what `hash_step` (each solver, wild motions, three objects) and `hash_runs`
 (scenes as files, in 1, 2, 4 and 8 threads at once, so each fifteen times) say. Prints a table of Markdown; exit code 1
@@ -90,13 +90,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scenes", nargs="*", default=SCENES)
     parser.add_argument("--all", action="store_true", help="-O0 and -O2 for each machine as well")
-    parser.add_argument("--only", nargs=2, action="append", metavar=("COMPILER", "FLAGS"), help="may be repeated")
+    parser.add_argument("--only", action="append", help="compiler and flags, such as 'c++ -O0'; may be repeated")
     options = parser.parse_args()
     inputs = make_scenes(list(options.scenes), TOP / "build" / "same_bits_scenes")
     print(f"{len(inputs) // 4} scenes\n")
     print("| build | threads | solvers on made objects | scenes |\n| --- | --- | --- | --- |")
     answers = set()
-    for compiler, flags in options.only or [(c, f) for f, c in product(flags_of(options.all), COMPILERS)]:
+    every = [(compiler, flags) for flags, compiler in product(flags_of(options.all), COMPILERS)]
+    for compiler, flags in [one.split(maxsplit=1) for one in options.only or []] or every:
         slug = f"{compiler}_{flags}".replace(" ", "_")
         folder = build(compiler, flags, TOP / "build" / f"same_bits_{slug}")
         threads = UNOPTIMISED_THREADS if "-O0" in flags else THREADS
