@@ -94,7 +94,7 @@ coverage-core: .venv/audit
 	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
 	@$(BIN)/cmake --build build/coverage -- --quiet
 	@$(BIN)/ctest --test-dir build/coverage --output-on-failure
-	@$(BIN)/gcovr --root runtime --filter runtime/src --object-directory build/coverage --exclude-throw-branches --print-summary
+	@$(BIN)/gcovr --root runtime --filter runtime/src build/coverage --exclude-throw-branches --print-summary
 coverage-python: .venv/audit programs
 	@$(BIN)/coverage run -m pytest -p no:cacheprovider
 	@$(BIN)/coverage report --format=total --precision=1 && $(BIN)/coverage report --skip-covered
