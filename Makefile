@@ -1,4 +1,4 @@
-# Two commands: `make demo` and `make test`; `make bench`, `make fuzz` and `make fuzz-readers` measure. Each sets up all that it needs, in .venv and build/,
+# Two commands: `make demo` and `make test`; `make bench`, `make soak`, `make fuzz`, `make fuzz-readers` and `make coverage` measure. Each sets up all that it needs, in .venv and build/,
 # with nothing on the machine but Python 3.11 (with its headers), make and a C++20 compiler. `make PYTHON=python3.12 test` takes
 # another Python.
 
@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 CORE := $(wildcard runtime/CMakeLists.txt runtime/*.in runtime/src/* runtime/include/palmar/*)
 MODULES := $(sort $(wildcard runtime/palmar/*.py tools/*.py traces/*.py eval/*.py))
 
-.PHONY: demo test fuzz fuzz-readers bench programs lint format clean names
+.PHONY: demo test fuzz fuzz-readers bench programs lint tidy licences sbom lowest wheels coverage coverage-core coverage-python soak format clean names
 
 demo: .venv/installed
 	@echo "== demo: built-in objects, a scripted grasp, replay, report"
@@ -29,14 +29,19 @@ fuzz: programs
 	@build/tests/fuzz_step $(FUZZ)
 
 # The readers under clang's fuzzer (apt: clang-19 libclang-rt-19-dev), SECONDS each; what it finds stays in build/fuzz/NAME.
+# Inputs are no longer than a sound file with everything in it needs, since long ones take longer.
 SECONDS ?= 60
 FUZZERS := trace pack cdr settings
+LONGEST_trace := 10500
+LONGEST_pack := 4500
+LONGEST_cdr := 1000
+LONGEST_settings := 1000
 fuzz-readers: .venv/installed
 	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/fuzz -G Ninja -DCMAKE_CXX_COMPILER=clang++-19 -DPALMAR_TESTS=ON -DPALMAR_SANITIZE=fuzz \
 	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
 	@$(BIN)/cmake --build build/fuzz --target $(addprefix fuzz_,$(FUZZERS)) -- --quiet
-	@for name in $(FUZZERS); do mkdir -p build/fuzz/$$name && build/fuzz/fuzz_$$name -max_total_time=$(SECONDS) -max_len=11000 -rss_limit_mb=2048 \
-	  -print_final_stats=1 -artifact_prefix=build/fuzz/$$name- build/fuzz/$$name tests/fuzz/saved/$$name || exit 1; done
+	@$(foreach name,$(FUZZERS),mkdir -p build/fuzz/$(name) && build/fuzz/fuzz_$(name) -max_total_time=$(SECONDS) -max_len=$(LONGEST_$(name)) \
+	  -rss_limit_mb=2048 -print_final_stats=1 -artifact_prefix=build/fuzz/$(name)- build/fuzz/$(name) tests/fuzz/saved/$(name) &&) true
 
 # What a step costs. `make bench BENCH='--scene ears --set iterations=2'`; more arguments stand at the top of its source.
 BENCH ?=
@@ -45,7 +50,7 @@ bench: programs
 
 programs: .venv/installed
 	@echo "== C++ tests and measuring programs (build/tests)"
-	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/tests -G Ninja -DPALMAR_TESTS=ON -DPALMAR_SHARED=ON -DCMAKE_BUILD_TYPE=Release \
+	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/tests -G Ninja -DPALMAR_TESTS=ON -DPALMAR_SHARED=ON -DCMAKE_BUILD_TYPE=Release -DCMAKE_EXPORT_COMPILE_COMMANDS=ON \
 	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
 	@$(BIN)/cmake --build build/tests -- --quiet
 
@@ -54,6 +59,50 @@ lint: .venv/linters
 	$(BIN)/ruff format --check .
 	$(BIN)/clang-format --dry-run --Werror $(wildcard runtime/src/*.cpp runtime/src/*.h runtime/include/palmar/*.h tests/runtime/*.cpp tests/runtime/*.h tests/consumer/*.c tests/fuzz/*.cpp tests/fuzz/*.h)
 	$(BIN)/mypy
+
+# Some minutes: not part of lint. Its checks, and why these, stand in .clang-tidy.
+tidy: .venv/audit programs
+	@$(BIN)/run-clang-tidy.py -quiet -j 2 -clang-tidy-binary $(BIN)/clang-tidy -p build/tests 'runtime/src/[^/]*\.cpp$$'
+
+# What an installation brings, and under which licence; as CycloneDX in build/sbom.json.
+licences: .venv/installed
+	@$(BIN)/python tests/supply.py licences > docs/licences.md
+
+sbom: .venv/audit
+	@$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible --output-file build/sbom.json $(BIN)/python
+
+# The oldest versions that pyproject.toml allows, in an environment of their own, and the tests that meet them most.
+lowest: .venv/installed
+	@$(PYTHON) -m venv build/lowest
+	@$(BIN)/python tests/supply.py lowest > build/lowest.txt
+	@PATH="$(CURDIR)/$(BIN):$$PATH" $(PIP) wheel . --no-build-isolation --no-deps --wheel-dir build/lowest/wheel
+	@build/lowest/bin/python -m pip --quiet --disable-pip-version-check install build/lowest/wheel/*.whl -r build/lowest.txt
+	@build/lowest/bin/python -m pytest -p no:cacheprovider $(LOWEST)
+LOWEST ?= tests/test_cli.py tests/test_bad_input.py tests/test_tables.py tests/tools/test_mesh.py tests/tools/test_pack.py \
+  tests/tools/test_shapes.py tests/traces/test_column_map.py tests/traces/test_isaac_teleop.py tests/eval/test_report.py
+
+# One wheel for each Python that is there; the build fetches what it needs, as pip does.
+WHEELS ?= python3.11 python3.12 python3.13 python3.14
+wheels:
+	@for python in $(WHEELS); do if command -v $$python >/dev/null; then $$python -m pip wheel --quiet . --no-deps --wheel-dir build/wheels; \
+	  else echo "no $$python here"; fi || exit 1; done; ls build/wheels
+
+# Lines and branches that the tests reach: of the core by gcc's counters, of Python by coverage.py. Some ten minutes each.
+coverage: coverage-core coverage-python
+coverage-core: .venv/audit
+	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/coverage -G Ninja -DPALMAR_TESTS=ON -DCMAKE_BUILD_TYPE=Plain -DCMAKE_CXX_FLAGS="--coverage -O0" \
+	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
+	@$(BIN)/cmake --build build/coverage -- --quiet
+	@$(BIN)/ctest --test-dir build/coverage --output-on-failure
+	@$(BIN)/gcovr --root runtime --filter runtime/src build/coverage --exclude-throw-branches --print-summary
+coverage-python: .venv/audit programs
+	@$(BIN)/coverage run -m pytest -p no:cacheprovider
+	@$(BIN)/coverage report --format=total --precision=1 && $(BIN)/coverage report --skip-covered
+
+# Ten minutes at 1 kHz: flat memory, and how late a frame is. `make soak SOAK=3600` for the hour.
+SOAK ?= 600
+soak: programs
+	@build/tests/bench_soak $(SOAK)
 
 format: .venv/linters
 	$(BIN)/ruff check --fix .
@@ -84,8 +133,9 @@ clean:
 .venv/modules: names | .venv/bin/python
 	@echo '$(MODULES)' | cmp -s - $@ || echo '$(MODULES)' > $@
 
-.venv/linters: pyproject.toml | .venv/installed
-	@echo "== ruff, clang-format, mypy (pip)"
-	@$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["lint"], sep="\n")' > .venv/lint-requires.txt
-	@$(PIP) install -r .venv/lint-requires.txt
+.venv/linters .venv/audit: pyproject.toml | .venv/installed
+	@echo "== tools of $(subst .venv/linters,lint,$(subst .venv/audit,audit,$@)) (pip)"
+	@$(BIN)/python -c 'import sys, tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"][sys.argv[1]], sep="\n")' \
+	  $(subst .venv/linters,lint,$(subst .venv/audit,audit,$@)) > $@-requires.txt
+	@$(PIP) install -r $@-requires.txt
 	@touch $@

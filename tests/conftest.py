@@ -7,6 +7,7 @@ from palmar import cli
 
 def pytest_addoption(parser):
     parser.addoption("--all-recordings", action="store_true", help="replay all recorded demonstrations")
+    parser.addoption("--fuzz-examples", type=int, default=60, help="changed copies of each file that Python reads")
     parser.addoption("--host-kills", type=int, default=8, help="how often a recording host is killed; 100 measures it")
 
 

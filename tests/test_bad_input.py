@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +21,8 @@ from safetensors.numpy import load_file, save_file
 
 from palmar import _runtime, cli
 from palmar.records import Trace, write_trace
+from palmar.recover import recover_file
+from palmar.traces.wire import Pty
 
 sys.path.append(str(Path(__file__).parent / "tools"))
 from bad_meshes import MESHES
@@ -28,6 +31,7 @@ HAND = (Path(__file__).parents[1] / "tools" / "default_hand.toml").read_text()
 REPLAY = "replay good.pack bad.mcap -o out.run.mcap"
 REPLAY_PACK = "replay bad.pack good.mcap -o out.run.mcap"
 SET = "replay good.pack good.mcap -o out.run.mcap --set"
+RECORD = "record --device opengloves --port glove -o out.mcap --duration-s 0.5"
 BUILD_HAND = "build shape:cube --spheres-csv cube.csv -o out.pack --hand hand.toml"
 
 
@@ -35,7 +39,7 @@ BUILD_HAND = "build shape:cube --spheres-csv cube.csv -o out.pack --hand hand.to
 class Case:
     """A file to make, the command that meets it, and what must come of it."""
 
-    name: str  # its row of the table first: B mesh, R trace, K pack, G settings and hands
+    name: str  # its row of the table first: B mesh, R trace, K pack, U device, G settings and hands
     make: Callable[[Path], object]
     command: str
     start: str  # of the line that the user sees; "" if the input is fine after all
@@ -171,6 +175,31 @@ def nothing(folder: Path) -> None:
     pass
 
 
+def glove(content: bytes, *, unplugged: bool = False) -> Callable[[Path], object]:
+    """A serial port `glove` whose other end says this as soon as it is opened, again and again, or once and is gone."""
+
+    def make(folder: Path) -> None:
+        wire = Pty(folder / "glove")
+
+        def play() -> None:
+            end = time.monotonic() + 60
+            while not wire.heard() and time.monotonic() < end:
+                time.sleep(0.001)
+            while wire.heard() and time.monotonic() < end and wire.send(content) and not unplugged:
+                time.sleep(0.005)
+            wire.close()
+
+        threading.Thread(target=play, daemon=True).start()
+
+    return make
+
+
+def recovered(folder: Path) -> None:
+    SHORT(folder)
+    recover_file(folder / "bad.mcap", folder / "sound.mcap")
+    (folder / "sound.mcap").replace(folder / "bad.mcap")
+
+
 def meshes() -> list[Case]:
     def write(name: str, raw: bytes | str) -> Callable[[Path], object]:
         return lambda folder: (folder / name).write_bytes(raw.encode() if isinstance(raw, str) else raw)
@@ -206,6 +235,8 @@ CASES = [
     Case("R4 time that is no number", foreign_trace(time_s=NAN), REPLAY, "E-TRACE-VALUE"),
     Case("R4 an angle that is no number", foreign_trace(flexion_rad=[NAN] * 15), REPLAY, "E-TRACE-VALUE"),
     Case("R4 a rotation of length 2", foreign_trace(palm_rotation_wxyz=[2.0, 0, 0, 0]), REPLAY, "E-TRACE-VALUE"),
+    Case("R5 what was recovered of a cut trace", recovered, REPLAY, "", 0),
+    Case("R5 nothing to recover", bad_trace(lambda raw: raw[:2000]), "recover bad.mcap -o out.mcap", "E-TRACE-EMPTY"),
     Case("K1 one bit of a pack flipped", FLIPPED_PACK, REPLAY_PACK, "E-PACK-CRC"),
     Case("K1 the same, shown", FLIPPED_PACK, "show bad.pack", "E-PACK-CRC"),
     Case("K1 pack cut short", damaged_pack(lambda raw: raw[:-100]), REPLAY_PACK, "E-PACK-FORMAT"),
@@ -241,6 +272,11 @@ CASES = [
         "show bad.pack",
         "E-PACK-FORMAT",
     ),
+    Case("U1 a port that sends garbage", glove(bytes(range(256))), RECORD, "E-GLOVE-SILENT"),
+    Case("U1 a port at another baud rate", glove(b"\xe6\x00\x98\x7e" * 8), RECORD, "E-GLOVE-SILENT"),
+    Case("U1 half a line and no more", glove(b"A100B2", unplugged=True), RECORD, "E-GLOVE-SILENT"),
+    Case("U2 a glove unplugged before it says anything", glove(b"", unplugged=True), RECORD, "E-GLOVE-SILENT"),
+    Case("U2 a port that is not there", nothing, RECORD, "E-GLOVE-PORT"),
     Case("G1 unknown setting", nothing, f"{SET} iteratons=3", "E-CONF-KEY"),
     Case("G1 setting of another type", nothing, f"{SET} iterations=many", "E-CONF-TYPE"),
     Case("G1 setting below its range", nothing, f"{SET} reach_least_m=-1", "E-CONF-VALUE"),
@@ -272,13 +308,13 @@ def test_bad_input_is_one_line_and_writes_nothing(case, good, tmp_path, monkeypa
     code = cli.run(case.command.split())
     captured = capsys.readouterr()
     assert code == case.code, captured.err
-    written = {path.name for path in tmp_path.iterdir()} - before
+    written = {path.name for path in tmp_path.iterdir()} - before - {"glove"}
     if case.start:
         (line,) = captured.err.splitlines()
         assert re.fullmatch(r"E-[A-Z0-9-]+ [^:].*: .+", line) and line.startswith(case.start)
         assert written == ({"out.run.mcap"} if "--accept-loss" in case.command else set())
     else:
-        assert captured.err == "" and written == {"out.pack"}
+        assert captured.err == "" and written == {case.command.split("-o ")[1].split()[0]}
 
 
 def print_table() -> int:
@@ -299,7 +335,7 @@ def print_table() -> int:
             seconds = time.monotonic() - start
             fits = done.returncode == case.code and done.stderr.startswith(case.start)
             wrong += not fits
-            said = done.stderr.strip() or "(built)"
+            said = done.stderr.strip() or "(nothing: it is fine)"
             print(
                 f"| {case.name} | {done.returncode}{'' if fits else ' WRONG'} | {seconds:.1f} | `{said}` |", flush=True
             )

@@ -1,5 +1,7 @@
 """The core as outside projects see it: installed with CMake alone, stepped from C, loaded by ctypes."""
 
+import ctypes
+import json
 import os
 import random
 import re
@@ -14,7 +16,10 @@ import numpy as np
 import pytest
 
 from palmar import _runtime
-from palmar.errors import BadTrace
+from palmar.errors import BadTrace, PalmarError
+
+sys.path.append(str(Path(__file__).parent / "consumer"))
+import host
 
 TOP = Path(__file__).resolve().parents[1]
 CORE = TOP / "build" / "tests"  # `make test` configures and builds it, without Python
@@ -138,6 +143,30 @@ def killed_after(host: Path, path: Path, seconds: float) -> tuple[int, int, int]
     numbers = frames(columns)
     assert numbers.tolist() == list(range(len(numbers)))
     return taken, written, len(numbers)
+
+
+@needs_core
+def test_the_c_interface_says_what_python_says(installed, tmp_path):
+    palmar = host.load(str(CORE / "libpalmar.so"))
+    session, message = ctypes.c_void_p(), ctypes.create_string_buffer(512)
+    raw = (installed / "cube.pack").read_bytes()
+    bad = {"cut": raw[:-8], "flipped": raw[:-9] + bytes([raw[-9] ^ 1]) + raw[-8:], "none": b"", "version": None}
+    bad["version"] = re.sub(rb'(crc32)(\\": )', rb"crc31\2", raw.replace(b"palmar.pack/2", b"palmar.pack/7"))
+    packs = [(installed / "cube.pack", text) for text in ("{", '{"rate_hz": -1}', '{"iteratons": 1}', '{"level": 9}')]
+    for name, content in bad.items():
+        packs.append((tmp_path / f"{name}.pack", "{}"))
+        packs[-1][0].write_bytes(content)
+    for pack, settings in [*packs, (tmp_path / "absent.pack", "{}")]:
+        code = palmar.palmar_open(
+            str(pack).encode(), None, settings.encode(), ctypes.byref(session), message, len(message)
+        )
+        assert code == PalmarError.exit_code and session.value is None
+        said = message.value.decode()
+        assert re.fullmatch(r"E-(PACK|CONF)-[A-Z]+ .+: .+", said)
+        if settings != "{":  # Python has no settings that are no JSON
+            with pytest.raises(PalmarError) as caught:
+                _runtime.Session(str(pack), "", json.loads(settings))
+            assert str(caught.value) == said
 
 
 @needs_core

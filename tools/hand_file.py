@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 SMALLEST_M, LARGEST_M = 0.05, 0.5
 MAX_RADIUS_M = 0.05
 MAX_PALM_SPHERES = 5000
+LARGEST = 1e6  # of any number, as in a pack: squares of it are still far from overflow
 
 STIFFNESS = {"palm_n_per_m": 1000.0, "palm_rotation_n_m_per_rad": 10.0, "joint_n_m_per_rad": 0.5}
 SHORT_KEYS = ("base_m", "direction", "length_m")
@@ -271,6 +272,8 @@ def _numbers(where: str, table: dict[str, Any], key: str, *shapes: tuple[int, ..
     if numbers.shape not in shapes:
         found = " x ".join(map(str, numbers.shape)) or "1"
         raise BadPack("E-CONF", f"{where}.{key}", f"{found} numbers; {wanted} are needed")
+    if np.abs(numbers).max() > LARGEST:
+        raise BadPack("E-CONF", f"{where}.{key}", f"{np.abs(numbers).max():g}; at most {LARGEST:g} in size is allowed")
     return numbers
 
 

@@ -202,7 +202,10 @@ def _ply_text(where: str, elements: list[Element], body: bytes) -> int:
             elif len(words) < len(properties):
                 _cut(at, f"{len(words)} of {len(properties)} numbers")
             elif name == "vertex":
-                _check_coordinates(f"{where}", index, words)
+                # A number too many is a number torn in two: which of them are the coordinates, nobody knows.
+                if len(words) > len(properties):
+                    raise BadMesh("E-MESH-HEADER", at, f"{len(words)} numbers; the header declares {len(properties)}")
+                _check_coordinates(f"{where}", index, words[:3])
         first += count
     return triangles
 
@@ -284,6 +287,10 @@ def _check_coordinates(at: str, vertex: int, words: list[str]) -> None:
             raise BadMesh("E-MESH-FORMAT", at, f"vertex {vertex}: {word[:20]!r} where a number is needed") from None
         if not finite:
             raise BadMesh("E-MESH-NAN", f"{at}:vertex {vertex}", f"{word} is not a finite number")
+    # Behind them may stand a weight of 1, a colour, a normal. Anything else is a number torn in two.
+    if len(words) not in (3, 6, 7, 9, 10) and not (len(words) == 4 and words[3].rstrip("0") in ("1", "1.")):
+        found = f"vertex {vertex} of {len(words)} numbers, {' '.join(words)[:40]!r}"
+        raise BadMesh("E-MESH-FORMAT", at, f"{found}; 3 are needed, with a weight of 1, a colour or a normal at most")
 
 
 CHECKS: dict[str, Callable[[str, bytes], int]] = {

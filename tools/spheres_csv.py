@@ -30,7 +30,10 @@ def read_spheres_csv(path: str | Path, units: str = "m") -> tuple[NDArray[np.flo
         content = Path(path).read_bytes()
     except OSError as error:
         raise BadPack("E-CSV-MISSING", where, f"{error.strerror}; a CSV of spheres is needed") from None
-    rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig", "replace"))))
+    try:
+        rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig", "replace"), newline=None)))
+    except csv.Error as error:
+        raise BadPack("E-CSV", where, f"not a CSV ({error})") from None
     header = [name.strip().lower() for name in rows[0]] if rows else []
     columns, metres = _find_columns(where, header, units)
     spheres = []

@@ -45,6 +45,8 @@ def run(arguments: list[str]) -> int:
         return 0
     except OSError as error:
         return complain(f"E-FILE {error.filename or 'file'}: {error.strerror or error}", 2)
+    except MemoryError:
+        return complain("E-MEMORY palmar: the system gives no more memory", 2)
     except KeyboardInterrupt:
         return STOPPED
     except BaseException as error:  # the outermost door: what arrives here is our own mistake

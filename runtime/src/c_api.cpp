@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <exception>
+#include <new>
 
 #include "error.h"
 #include "pack_file.h"
@@ -78,6 +79,9 @@ palmar_code answer(char* message, size_t message_size, Work work) {
     return work();
   } catch (const Error& error) {
     say(message, message_size, error.what());
+    return PALMAR_BAD_INPUT;
+  } catch (const std::bad_alloc&) {
+    say(message, message_size, "E-MEMORY palmar: the system gives no more memory");
     return PALMAR_BAD_INPUT;
   } catch (const std::exception& error) {
     say(message, message_size, error.what());

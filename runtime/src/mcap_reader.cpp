@@ -27,11 +27,14 @@ std::vector<std::uint8_t> read_bytes(const std::string& path) {
   const std::uintmax_t size = std::filesystem::file_size(path, problem);
   if (!problem && size > kFileLimit)
     throw Error("E-TRACE-SIZE", path, std::to_string(size >> 20) + " MiB; at most 2048 MiB are read");
+  std::vector<std::uint8_t> bytes(problem ? 0 : size);  // before the file is open, for there may be no room
   std::FILE* file = problem ? nullptr : std::fopen(path.c_str(), "rb");
   if (!file) throw Error("E-TRACE-MISSING", path, std::string(std::strerror(errno)) + "; an MCAP file is needed");
-  std::vector<std::uint8_t> bytes(size);
   bytes.resize(std::fread(bytes.data(), 1, bytes.size(), file));
+  const bool failed = std::ferror(file) != 0;
   std::fclose(file);
+  // A disk that fails is not a file that ends.
+  if (failed) throw Error("E-TRACE-READ", path, "could not be read to its end");
   return bytes;
 }
 

@@ -35,7 +35,7 @@ struct McapFile {
 };
 
 // Every CRC is checked. A chunk is given whole or not at all. Errors: E-TRACE-MISSING, E-TRACE-SIZE (above 2 GiB),
-// E-TRACE-FORMAT (not MCAP), E-TRACE-COMPRESSION (a compressed chunk).
+// E-TRACE-READ (the disk failed), E-TRACE-FORMAT (not MCAP), E-TRACE-COMPRESSION (a compressed chunk).
 McapFile read_mcap(const std::string& path);
 // The same of a file's bytes; `path` is for errors alone.
 McapFile mcap_of(std::vector<std::uint8_t> bytes, const std::string& path);

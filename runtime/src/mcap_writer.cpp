@@ -75,12 +75,15 @@ std::string mcap::metadata_crc(const std::string& name, const std::map<std::stri
   return digits;
 }
 
-McapWriter::McapWriter(std::string path, Place place)
+McapWriter::McapWriter(std::string path, Place place, Opened)
     : path_(std::move(path)),
       written_path_(place == Place::kInPlace ? path_ : temporary_beside(path_)),
       place_(place),
       file_(std::fopen(written_path_.c_str(), place == Place::kInPlace ? "wb" : "wbx")) {
   if (!file_) fail("cannot be created");
+}
+
+McapWriter::McapWriter(std::string path, Place place) : McapWriter(std::move(path), place, Opened{}) {
   Buffer start(kMagic.begin(), kMagic.end());
   Buffer header;
   put_text(header, "ros2");
@@ -309,7 +312,7 @@ void McapWriter::flush_file() {
 
 void McapWriter::abandon() {
   if (file_) std::fclose(std::exchange(file_, nullptr));
-  if (place_ == Place::kRenamedOnClose) std::remove(written_path_.c_str());
+  if (place_ == Place::kRenamedOnClose || chunks_ == 0) std::remove(written_path_.c_str());
 }
 
 void McapWriter::fail(const char* what) {

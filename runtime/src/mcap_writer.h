@@ -17,7 +17,7 @@ class McapWriter {
   enum class Place {
     kRenamedOnClose,  // under a temporary name beside `path` until close(); without close() nothing stays
     kInPlace,  // under its own name from the start, each chunk flushed: for recorders, where a torn file is worth
-               // having
+               // having; one without a chunk is not, and is taken away
   };
 
   // Every function but the destructor throws Error E-TRACE-WRITE when the disk does not take the bytes.
@@ -45,6 +45,9 @@ class McapWriter {
     std::uint32_t messages = 0;
     std::vector<std::pair<std::uint64_t, std::uint64_t>> in_chunk;  // log time, offset in the chunk
   };
+
+  struct Opened {};
+  McapWriter(std::string path, Place place, Opened);  // the file alone: from here on the destructor takes it away
 
   void write(mcap::Bytes bytes);
   void write_data(mcap::Bytes bytes);

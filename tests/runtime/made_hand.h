@@ -98,8 +98,14 @@ inline std::vector<Sphere> ears() {
 inline Configuration random_configuration(std::mt19937& rng, double spread) {
   std::uniform_real_distribution<double> u(-1, 1), flex(-0.2, 1.6);
   Configuration q;
-  q.position = spread * Vec3(u(rng), u(rng), u(rng));
-  q.rotation = rotation_exp(1.5 * Vec3(u(rng), u(rng), u(rng)));
+  // One number after the other: the order of a call's arguments is each compiler's own.
+  const auto vector = [&] {
+    Vec3 v;
+    for (int k = 2; k >= 0; --k) v[k] = u(rng);
+    return v;
+  };
+  q.position = spread * vector();
+  q.rotation = rotation_exp(1.5 * vector());
   for (int f = 0; f < kFingers; ++f) {
     q.abduction[f] = 0.3 * u(rng);
     for (int j = 0; j < kPhalanges; ++j) q.flexion[f][j] = flex(rng);
