@@ -5,7 +5,7 @@ import trimesh
 
 from palmar.eval.picture import HAPTIC, Body, Camera, capsule, draw, object_body
 
-CAMERA = Camera(np.eye(3), np.zeros(3), 2.4)  # from +z
+CAMERA = Camera(np.eye(3), np.zeros(3), 0.024)  # from +z
 
 
 def ball(x, radius, colour, z=0.0):
@@ -15,11 +15,11 @@ def ball(x, radius, colour, z=0.0):
 
 
 def test_the_nearer_body_hides_the_farther_and_the_ghost_shines_through():
-    red, green = ball(0, 1.0, (1.0, 0, 0)), ball(0, 0.4, (0, 1.0, 0), z=1.0)
+    red, green = ball(0, 0.01, (1.0, 0, 0)), ball(0, 0.004, (0, 1.0, 0), z=0.01)
     image = draw([red, green], None, CAMERA, 48)
     assert image[24, 24, 1] > 0.4 > image[24, 24, 0] and image[24, 40, 0] > 0.3 > image[24, 40, 1]
     assert image[0, 0, 3] == 0 and image[24, 24, 3] == 1
-    ghost = draw([red], ball(0, 0.5, HAPTIC), CAMERA, 48)  # inside: seen through the red ball
+    ghost = draw([red], ball(0, 0.005, HAPTIC), CAMERA, 48)  # inside: seen through the red ball
     assert 0.1 < ghost[24, 24, 2] < 0.6 and ghost[24, 24, 0] > 0.3
 
 
