@@ -98,6 +98,12 @@ class Case:
         """Least gap of each link to the true mesh, cut at 0: phalanges (n, 15), palm spheres (n, p)."""
         return mesh_gap(self.shape, self.mesh)
 
+    @property
+    def link_depth_m(self) -> Array:
+        """(n, 16) how deep the palm, and then each phalanx, is inside the true mesh; 0 outside."""
+        phalanges, palm = self.mesh_gap_m
+        return -np.minimum(0, np.column_stack([palm.min(axis=1), phalanges]))
+
     @cached_property
     def phalanx_contact(self) -> Flags:
         """(n, 15) whether the run reports a contact of the phalanx."""

@@ -97,10 +97,10 @@ def _phalanx_points(hand: HandModel, poses: Poses, points: Array) -> Array:
             shift = shift + np.einsum("nab,nb->na", turn, joint - flexion @ joint)
             turn = turn @ flexion
             placed[:, f, j] = np.einsum("nab,kb->nka", turn, points[f, j]) + shift[:, None]
-    return _palm_points(poses, placed)
+    return palm_points(poses, placed)
 
 
-def _palm_points(poses: Poses, points: Array) -> Array:
+def palm_points(poses: Poses, points: Array) -> Array:
     """Points (n, ..., 3) in the palm frame -> the same in the world."""
     position = poses.palm_position_m.reshape(len(points), *(1,) * (points.ndim - 2), 3)
     return np.einsum("nab,n...b->n...a", _rotation(poses.palm_rotation_wxyz), points) + position
@@ -128,7 +128,7 @@ def phalanx_capsules(hand: HandModel, poses: Poses) -> tuple[Array, Array, Array
 def palm_spheres(hand: HandModel, poses: Poses) -> Array:
     """Palm spheres in the world: (n, p, 4), x y z radius. Metres."""
     n = len(poses.abduction_rad)
-    centres = _palm_points(poses, np.broadcast_to(hand.palm_spheres_m[:, :3], (n, len(hand.palm_spheres_m), 3)))
+    centres = palm_points(poses, np.broadcast_to(hand.palm_spheres_m[:, :3], (n, len(hand.palm_spheres_m), 3)))
     radii = np.broadcast_to(hand.palm_spheres_m[:, 3:], (*centres.shape[:2], 1))
     return np.concatenate([centres, radii], axis=2)
 
@@ -154,15 +154,22 @@ def fingertips(hand: HandModel, poses: Poses) -> Array:
 def in_object_frame(run: Run, points: Array, first: int = 0) -> Array:
     """Points (n, k, 3) of the world in the object's frame of n steps of the run from `first` on."""
     steps = slice(first, first + len(points))
-    object_from_world = _rotation(run.object_rotation_wxyz[steps]).transpose(0, 2, 1)
-    return np.einsum("nab,nkb->nka", object_from_world, points - run.object_position_m[steps, None])
+    return into_frame(run.object_rotation_wxyz[steps], run.object_position_m[steps], points)
 
 
-def shape_in_object(hand: HandModel, poses: Poses, run: Run) -> Shape:
-    """The hand's exact shape in the object's frame of each step of the run."""
+def into_frame(rotation_wxyz: Array, position_m: Array, points: Array) -> Array:
+    """Points (n, k, 3) of the world in frames that stand at position_m (n, 3), turned by rotation_wxyz (n, 4)."""
+    return np.einsum("nab,nkb->nka", _rotation(rotation_wxyz).transpose(0, 2, 1), points - position_m[:, None])
+
+
+def shape_in_object(hand: HandModel, poses: Poses, run: Run, steps: NDArray[np.integer] | None = None) -> Shape:
+    """The hand's exact shape in the object's frame of each step of the run, or of those steps; a pose for each."""
+    turn, place = run.object_rotation_wxyz, run.object_position_m
+    if steps is not None:
+        turn, place = turn[steps], place[steps]
     c1, r1, c2, r2 = phalanx_capsules(hand, poses)
     palm = palm_spheres(hand, poses)[..., :3]
-    c1, c2, palm = (in_object_frame(run, points) for points in (c1, c2, palm))
+    c1, c2, palm = (into_frame(turn, place, points) for points in (c1, c2, palm))
     return Shape(c1, r1, c2, r2, palm, hand.palm_spheres_m[:, 3])
 
 

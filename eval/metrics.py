@@ -37,14 +37,18 @@ def measure(
     the scene sets the limit "reason_limit" says why. margin_db = 20 log10(limit / value); None where that is not
     finite, since value or limit is 0. Raises BadPack or BadTrace if run and pack cannot be judged.
     """
-    case = Case(run, pack, object_name, pack_bytes, reference)
+    return measure_case(Case(run, pack, object_name, pack_bytes, reference), name, only)
+
+
+def measure_case(case: Case, name: str = "", only: Collection[str] | None = None) -> tuple[list[Row], dict[str, Array]]:
+    """What `measure` says, of a case whose gaps may be asked for again."""
     rows: list[Row] = []
     series: dict[str, Array] = {}
     for metric in METRICS:
         if only is not None and metric.name not in only:
             continue
         values = values_of(metric.function, case)
-        if isinstance(values, np.ndarray) and len(values) == len(run.time_s) > 1:
+        if isinstance(values, np.ndarray) and len(values) == len(case.run.time_s) > 1:
             # Where every value of a step is NaN the step is NaN, without numpy's warning.
             series[metric.name] = values if values.ndim == 1 else np.fmax.reduce(values, axis=1)
         for stat in metric.stats:

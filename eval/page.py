@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from plotly.offline import get_plotlyjs
 
 from palmar.eval.explain import MEANING
+from palmar.eval.judge import haptic_poses, shape_in_object
 from palmar.eval.panels import INPUT_BITS, Judged, hard_steps, panels, worst_steps
+from palmar.eval.recompute import TOLERANCE_MM
 from palmar.eval.texts import fill, read
+from palmar.eval.touch import touch_object
 from palmar.eval.view3d import frame_steps, hand_shape, object_shape, pack_array, poses, three_js
 from palmar.model import FINGERS
+from palmar.records import Run
 
 SCRIPTS = ("view.js", "charts.js", "page.js")
+# Beyond these a run's times say more of the machine than of the solver: waiting by work, p99 by p50 of steps alike.
+MOST_WAIT, NOISY_TAIL, LEAST_IDLE = 0.1, 3.0, 100
+HAPTIC_STEPS, SURFACE_POINTS = 40, 4000  # looked at for how deep the haptic hand goes
 # Columns of the table over all runs: metric, stat.
 OVERVIEW = (
     ("penetration_spheres", "max"),
@@ -32,8 +41,8 @@ OVERVIEW = (
 )
 
 
-def build_page(runs: list[Judged], title: str) -> str:
-    """The whole page as text. Runs of the same pack share hand and object shapes."""
+def build_page(runs: list[Judged], title: str, maps: dict[str, list[Path]] | None = None) -> str:
+    """The whole page as text. Runs of the same pack share hand and object shapes. maps: PNGs of runs, by name."""
     content: dict[str, Any] = {"hands": {}, "objects": {}, "runs": []}
     sections = []
     for number, judged in enumerate(runs):
@@ -45,7 +54,9 @@ def build_page(runs: list[Judged], title: str) -> str:
             tree = judged.pack.objects[judged.object_name]
             content["objects"][shown["object"]] = object_shape(tree, leaf_level(judged))
         heading = f"<h2>{escape(judged.name)}</h2>" if len(runs) > 1 else ""
-        sections.append(run_section(number, judged, heading, last_frame=shown["time_s"]["shape"][0] - 1))
+        sections.append(
+            run_section(number, judged, heading, shown["time_s"]["shape"][0] - 1, (maps or {}).get(judged.name, []))
+        )
     return fill(
         "page.html",
         title=escape(title),
@@ -56,10 +67,14 @@ def build_page(runs: list[Judged], title: str) -> str:
         limits=read("limits.html"),
         # A closing tag inside a string would end the script element.
         content=json.dumps(content).replace("</", "<\\/"),
-        three_js=three_js(),
-        plotly_js=get_plotlyjs(),
-        script="\n".join(read(name) for name in SCRIPTS),
+        **libraries(),
     )
+
+
+def libraries() -> dict[str, str]:
+    """The scripts that page.html holds: three.js, plotly and our own."""
+    ours = "\n".join(read(name) for name in SCRIPTS)
+    return {"three_js": three_js(), "plotly_js": get_plotlyjs(), "script": ours}
 
 
 def leaf_level(judged: Judged) -> int:
@@ -67,9 +82,9 @@ def leaf_level(judged: Judged) -> int:
     return int(judged.run.header.get("level", -1))
 
 
-def force_mm_per_n(judged: Judged) -> float:
+def force_mm_per_n(run: Run) -> float:
     """Length of a force arrow: the longest of 0.5 to 20 mm a newton that keeps the run's highest force within 80 mm."""
-    highest = np.linalg.norm(judged.run.fingertip_force_n, axis=2).max()
+    highest = np.linalg.norm(run.fingertip_force_n, axis=2).max()
     return max((scale for scale in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0) if scale * highest <= 80), default=0.2)
 
 
@@ -83,8 +98,8 @@ def run_content(judged: Judged) -> dict[str, Any]:
         "object": f"{judged.pack.sha256}/{judged.object_name}/{leaf_level(judged)}",
         "time_s": pack_array(run.time_s[steps]),
         "steps": pack_array(steps),
-        "poses": poses(run, steps),
-        "force_mm_per_n": force_mm_per_n(judged),
+        "poses": {**poses(run, steps), **depths(judged, steps)},
+        "force_mm_per_n": force_mm_per_n(run),
         "first": int(np.searchsorted(steps, worst["highest force"][0])),  # the moment that the page opens at
         "phases": run.phases,
         "panels": [
@@ -106,6 +121,28 @@ def run_content(judged: Judged) -> dict[str, Any]:
     }
 
 
+def depths(judged: Judged, steps: np.ndarray) -> dict[str, Any]:
+    """Depth of each link at the steps, and where the scales of colours end: a round number, mm."""
+    if judged.link_depth_mm is None:
+        return {}
+    run = judged.run
+    touching = np.flatnonzero(run.contacts > 0)
+    some = touching[np.unique(np.linspace(0, len(touching) - 1, HAPTIC_STEPS).astype(int))] if len(touching) else [0]
+    placed = shape_in_object(judged.pack.hand, haptic_poses(run)[np.array(some)], run, np.array(some))
+    surface = judged.pack.objects[judged.object_name].vertices_m
+    haptic = (
+        1e3 * touch_object(placed, surface[:: max(1, len(surface) // SURFACE_POINTS)], np.zeros(len(some)))[0].max()
+    )
+    ends = {"graphic": round_up(max(0.1, judged.link_depth_mm.max())), "haptic": round_up(max(1.0, haptic))}
+    return {"link_depth_mm": pack_array(judged.link_depth_mm[steps]), "depth_end_mm": ends}
+
+
+def round_up(value: float) -> float:
+    """The next of 1, 2, 5 times a power of ten."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(next(step * power for step in (1, 2, 5, 10) if step * power >= 0.999 * value))
+
+
 def readouts(judged: Judged) -> list[tuple[str, str, str, int, np.ndarray]]:
     """Numbers beside the 3-D view that follow the slider: key, label, unit, digits, (n,) values."""
     run, series = judged.run, judged.series
@@ -121,7 +158,7 @@ def readouts(judged: Judged) -> list[tuple[str, str, str, int, np.ndarray]]:
     return shown
 
 
-def run_section(number: int, judged: Judged, heading: str, last_frame: int) -> str:
+def run_section(number: int, judged: Judged, heading: str, last_frame: int, maps: list[Path]) -> str:
     """One run: verdict, replay, charts, metrics, settings."""
     worst = "".join(
         f'<button type="button" data-step="{step}">{escape(label)} <small>{escape(note)}</small></button>'
@@ -132,20 +169,73 @@ def run_section(number: int, judged: Judged, heading: str, last_frame: int) -> s
         for key, label, unit, _, _ in readouts(judged)
     )
     tree = judged.pack.objects[judged.object_name]
+    below = fill(
+        "below.html",
+        metrics=metrics_table(judged.rows),
+        maps="".join(map_figure(path) for path in maps),
+        timing=timing_line(judged.run),
+        recomputed=recomputed_line(judged),
+        settings=settings_table(judged),
+    )
     return fill(
         "run.html",
         number=number,
         heading=heading,
-        force_scale=f"{force_mm_per_n(judged):g}",
+        graphic="graphic hand",
+        haptic="haptic hand",
+        force_scale=f"{force_mm_per_n(judged.run):g}",
         verdict=verdict_line(judged.passed, judged.verdict),
         facts=facts(judged),
         last_frame=last_frame,
         sphere_count=f"{len(tree.levels[leaf_level(judged)]):,}",
         worst=worst,
         readouts=numbers,
-        metrics=metrics_table(judged.rows),
-        settings=settings_table(judged),
+        below=below,
     )
+
+
+def map_figure(path: Path) -> str:
+    image, name = base64.b64encode(path.read_bytes()).decode(), escape(path.stem)
+    return (
+        f'<figure class="map"><img src="data:image/png;base64,{image}" alt="{name}">'
+        f'<figcaption><a href="maps/{name}.exr">maps/{name}.exr</a></figcaption></figure>'
+    )
+
+
+def timing_line(run: Run) -> str:
+    """How far the times of the run are to be trusted."""
+    cpu, wall = run.cpu_us, run.wall_us
+    if not np.isfinite(cpu).any():
+        return "The run has no timing."
+    kept = np.isfinite(cpu) & np.isfinite(wall)
+    waited = max(0.0, float(wall[kept].sum() / max(float(cpu[kept].sum()), 1e-9)) - 1)
+    idle = cpu[kept & (run.contacts == 0)]
+    said = (
+        "Each step was timed once; nothing is left out, the first steps neither. "
+        f"The steps waited {waited:.0%} of the time that they worked"
+    )
+    if len(idle) >= LEAST_IDLE:
+        p50, p99 = np.percentile(idle, (50, 99))
+        said += f"; those without a contact, alike in work, took {p50:.1f} µs (p50) and {p99:.1f} µs (p99)"
+    noisy = waited > MOST_WAIT or (len(idle) >= LEAST_IDLE and p99 > NOISY_TAIL * p50)
+    return f"{said}. " + (
+        "<b>The machine was noisy</b>: times of this run are an upper bound." if noisy else "The machine was quiet."
+    )
+
+
+def recomputed_line(judged: Judged) -> str:
+    """What came of the list of contacts worked out once more."""
+    found = judged.recomputed
+    if found is None or not found.contacts:
+        return "The run lists no contacts, so its list was not recomputed."
+    said = (
+        f"Recomputed by the judge: the {found.contacts:,} contacts of {found.steps:,} random steps. Their gaps are "
+        "as stated to "
+        f"{found.gap_mm:.2g} mm, the least gap of a step to {found.least_mm:.2g} mm"
+    )
+    if found.same:
+        return f"{said}."
+    return f"{said}: <b>beyond {TOLERANCE_MM:g} mm</b>; {found.unlisted} steps overlap and list nothing."
 
 
 def facts(judged: Judged) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palmar.eval.recompute import Recomputed
 from palmar.model import FINGERS, AssetPack
 from palmar.records import STATUS, Run
 
@@ -36,6 +37,8 @@ class Judged:
     verdict: str
     passed: bool
     sources: dict[str, Path]
+    recomputed: Recomputed | None = None
+    link_depth_mm: Array | None = None  # (n, 16) of the palm and each phalanx in the true mesh
 
 
 @dataclass(frozen=True)
@@ -142,6 +145,8 @@ def worst_steps(judged: Judged) -> dict[str, tuple[int, str]]:
         worst["largest force jump"] = (step, f"{jumps[step - 1]:.3g} N in one step")
     step = int(np.argmax(run.cpu_us))
     worst["slowest step"] = (step, f"{run.cpu_us[step]:.0f} µs")
+    step = int(np.argmax(run.wall_us))
+    worst["latest answer"] = (step, f"{run.wall_us[step]:.0f} µs after its sample")
     force = np.linalg.norm(run.fingertip_force_n, axis=2).max(axis=1)
     step = int(np.argmax(force))
     worst["highest force"] = (step, f"{force[step]:.3g} N")

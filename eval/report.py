@@ -8,18 +8,20 @@ from pathlib import Path
 from typing import Any
 
 from palmar.errors import BadPack, BadTrace
-from palmar.eval.case import Reference
+from palmar.eval.case import Case, Reference
 from palmar.eval.figures import write_figures
-from palmar.eval.metrics import measure, metrics_json, verdict
+from palmar.eval.maps import write_maps
+from palmar.eval.metrics import measure_case, metrics_json, verdict
 from palmar.eval.page import build_page
 from palmar.eval.panels import Judged, panels
+from palmar.eval.recompute import recompute
 from palmar.files import require_own_folder, whole_folder
 from palmar.model import load_pack
 from palmar.records import Run, read_run
 
 Progress = Callable[[int, int, str], None]
 SameStart = Callable[[Run, Path], Run]  # a run and its pack -> the converged answer to its steps, each on its own
-OF_A_REPORT = {"index.html", "metrics.json", "figures"}
+OF_A_REPORT = {"index.html", "metrics.json", "figures", "maps"}
 
 
 def write_report(
@@ -59,7 +61,15 @@ def write_report(
     return {
         "page": str(out_dir / "index.html"),
         "passed": all(one.passed for one in judged),
-        "runs": [{"run": one.name, "passed": one.passed, "verdict": one.verdict} for one in judged],
+        "runs": [
+            {
+                "run": one.name,
+                "passed": one.passed,
+                "verdict": one.verdict,
+                "recomputed": one.recomputed.told() if one.recomputed else None,
+            }
+            for one in judged
+        ],
     }
 
 
@@ -102,21 +112,26 @@ def judge_run(
         raise BadPack("E-PACK-OBJECT", str(pack_path), message)
     reference = Reference(same_start(run, pack_path) if same_start else None, (own_ways or {}).get(_work_of(run)))
     size = pack_path.stat().st_size
-    rows, series = measure(run, pack, object_name, pack_bytes=size, reference=reference)
+    case = Case(run, pack, object_name, size, reference)
+    rows, series = measure_case(case)
     passed, sentence = verdict(rows)
-    return Judged(name, run, pack, object_name, rows, series, sentence, passed, {"run": run_path, "pack": pack_path})
+    sources = {"run": run_path, "pack": pack_path}
+    again, depth_mm = recompute(case), 1e3 * case.link_depth_m
+    return Judged(name, run, pack, object_name, rows, series, sentence, passed, sources, again, depth_mm)
 
 
 def fill_folder(judged: list[Judged], folder: Path, tell: Callable[[str], None]) -> None:
     """Write the report of judged runs into an empty folder."""
     (folder / "figures").mkdir()
+    maps: dict[str, list[Path]] = {}
     for one in judged:
         tell(f"drawing {one.name}")
         for _ in write_figures(one.name, panels(one), folder / "figures"):
             pass
+        maps[one.name] = [folder / "maps" / name for name in write_maps(one, folder / "maps")]
     tell("writing the page")
     title = judged[0].name if len(judged) == 1 else f"{len(judged)} runs"
-    (folder / "index.html").write_text(build_page(judged, title), encoding="utf-8")
+    (folder / "index.html").write_text(build_page(judged, title, maps), encoding="utf-8")
     (folder / "metrics.json").write_text(metrics_json([(one.name, one.run, one.rows) for one in judged]))
 
 

@@ -22,7 +22,7 @@ KNOW_ALL = (
         "check",
         "golden",
     ),
-    *("chart", "chart_inputs", "compare"),
+    *("chart", "chart_inputs", "compare", "paper"),
     *("lean", "tune", "tune_beyond", "tune_cells", "tune_search", "cli_tune"),
 )
 # An include goes to an earlier row only, or to the file's own header.
@@ -46,8 +46,16 @@ DOORS = {
     "igl": ["eval/gap.py", "tools/close.py", "tools/moved.py", "tools/solid.py"],
     "manifold3d": ["tools/close.py", "tools/hand_palm.py", "tools/lattice.py", "tools/shapes.py"],
     "open3d": ["tools/scan.py"],
-    "OpenEXR": ["tools/exr.py"],
-    "matplotlib": ["eval/chart_figures.py", "eval/figures.py", "tools/cover_picture.py", "tools/hand_picture.py"],
+    "OpenEXR": ["runtime/palmar/exr.py"],
+    "matplotlib": [
+        "eval/chart_figures.py",
+        "eval/figures.py",
+        "eval/maps.py",
+        "eval/paper_figures.py",
+        "eval/paper_page.py",
+        "tools/cover_picture.py",
+        "tools/hand_picture.py",
+    ],
     "plotly": ["eval/page.py"],
     "flatbuffers": ["traces/isaac_teleop.py"],
     "mcap": ["traces/isaac_teleop.py"],
@@ -58,7 +66,11 @@ DOORS = {
     "safetensors": ["runtime/palmar/model.py"],
     "serial": ["traces/port.py"],
     "threadpoolctl": ["tools/hand_fit.py", "traces/finger_shape.py", "traces/inverse.py"],
-    "trimesh": ["eval/view3d.py", *(f"tools/{name}.py" for name in ("close", "mesh", "moved", "painted"))],
+    "trimesh": [
+        "eval/picture.py",
+        "eval/view3d.py",
+        *(f"tools/{name}.py" for name in ("close", "mesh", "moved", "painted")),
+    ],
     "typer": [
         f"runtime/palmar/cli{name}.py"
         for name in ("", "_app", "_calibrate", "_make", "_record", "_trace", "_judge", "_check", "_chart", "_tune")

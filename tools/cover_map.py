@@ -1,77 +1,17 @@
-"""A map of the surface with the errors of a union of spheres in named channels, as OpenEXR.
-
-The surface is unwrapped by its six sides: each triangle is seen along the axis that it faces most, and what lies behind
-other triangles of that side goes to a further layer. So every point is there once, at most 1.73 times as dense as
-elsewhere, for any mesh and in linear time, and the map still looks like the object.
-"""
+"""A map of the surface with the errors of a union of spheres in named channels, as OpenEXR."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from palmar.exr import shown, write_exr
 from palmar.tools.cover_place import SurfaceErrors
-from palmar.tools.exr import shown, write_exr
-from palmar.tools.raster import Hits, find_hits, ranks
-from palmar.tools.solid import Solid, smooth_normals
+from palmar.unwrap import Unwrapped
 
 Array = NDArray[np.float64]
-
-TEXELS = 250_000  # of the surface, about
-_MARGIN = 2
-# Axis that is looked along, and from which side; right and up are the next two, mirrored seen from behind.
-_SIDES = [(axis, sign) for axis in range(3) for sign in (1, -1)]
-
-
-@dataclass(frozen=True)
-class Unwrapped:
-    """Texels of a surface: place in an image of `shape` (rows, columns), point and unit normal (n, 3), area (n,).
-
-    face (n,) and share (n, 3): the triangle that each lies on, and the barycentric coordinates there.
-    """
-
-    shape: tuple[int, int]
-    row: NDArray[np.int64]
-    column: NDArray[np.int64]
-    face: NDArray[np.int64]
-    share: Array
-    points: Array
-    normals: Array
-    areas: Array
-    pitch_m: float
-
-
-def unwrap(solid: Solid, texels: int = TEXELS) -> Unwrapped:
-    """About so many texels over the whole surface, its six sides and their layers set in rows."""
-    corners = solid.vertices[solid.faces]
-    faced = np.argmax(np.abs(solid.normals), axis=1)
-    towards = np.take_along_axis(solid.normals, faced[:, None], 1)[:, 0]
-    pitch = float(np.sqrt((solid.areas * np.abs(towards)).sum() / texels))
-    tiles: list[tuple[Hits, Array]] = []
-    for axis, sign in _SIDES:
-        own = np.flatnonzero((faced == axis) & (towards * sign > 0))
-        across, up = (axis + 1) % 3, (axis + 2) % 3
-        flat = np.stack([sign * corners[own][:, :, across], corners[own][:, :, up]], axis=2) / pitch
-        hits = find_hits(flat)
-        points = hits.of(corners[own])
-        layer = ranks(hits, sign * points[:, axis])
-        hits = Hits(hits.column, hits.row, own[hits.face], hits.share)
-        for k in range(int(layer.max(initial=-1)) + 1):
-            tiles.append((hits.taken(layer == k), points[layer == k]))
-    boxes = [(int(np.ptp(hits.column)) + 1, int(np.ptp(hits.row)) + 1) for hits, _ in tiles]
-    places, shape = _set_in_rows(boxes)
-    rows, columns = [], []
-    for (hits, _), (left, top), (_, height) in zip(tiles, places, boxes, strict=True):
-        columns.append(left + hits.column - hits.column.min())
-        rows.append(top + height - 1 - (hits.row - hits.row.min()))  # up is up
-    points = np.concatenate([points for _, points in tiles])
-    face, share = (np.concatenate(parts) for parts in zip(*((hits.face, hits.share) for hits, _ in tiles), strict=True))
-    normals = smooth_normals(solid, points, face)
-    areas = pitch**2 / np.abs(towards[face])
-    return Unwrapped(shape, np.concatenate(rows), np.concatenate(columns), face, share, points, normals, areas, pitch)
 
 
 def write_map(path: str | Path, place: Unwrapped, errors: SurfaceErrors, colours: Array) -> list[str]:
@@ -97,18 +37,3 @@ def write_map(path: str | Path, place: Unwrapped, errors: SurfaceErrors, colours
         "texel_mm": float(place.pitch_m * 1e3),
     }
     return write_exr(path, place.shape, place.row, place.column, values, header)
-
-
-def _set_in_rows(boxes: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], tuple[int, int]]:
-    """Left and top of each box (width, height) in an image about square, and its shape (rows, columns)."""
-    area = sum((w + 2 * _MARGIN) * (h + 2 * _MARGIN) for w, h in boxes)
-    width = max(int(np.sqrt(1.2 * area)), max(w for w, _ in boxes) + 2 * _MARGIN)
-    places: list[tuple[int, int]] = [(0, 0)] * len(boxes)
-    left, top, deep, widest = _MARGIN, _MARGIN, 0, 0
-    for k in sorted(range(len(boxes)), key=lambda k: (-boxes[k][1], k)):
-        if left > _MARGIN and left + boxes[k][0] + _MARGIN > width:
-            left, top, deep = _MARGIN, top + deep + 2 * _MARGIN, 0
-        places[k] = (left, top)
-        left += boxes[k][0] + 2 * _MARGIN
-        deep, widest = max(deep, boxes[k][1]), max(widest, left)
-    return places, (top + deep + _MARGIN, widest)

@@ -11,8 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from palmar.raster import find_hits, ranks
 from palmar.tools.cover_place import MM, surface_errors
-from palmar.tools.raster import find_hits, ranks
 from palmar.tools.solid import Solid, smooth_normals
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from palmar.errors import PalmarError
 from palmar.files import nearest, require_file, whole_folder
 from palmar.model import AssetPack, SphereTree, load_pack
 from palmar.tools.cover import measure_cover
-from palmar.tools.cover_map import TEXELS, unwrap, write_map
+from palmar.tools.cover_map import write_map
 from palmar.tools.cover_page import build_page
 from palmar.tools.cover_picture import colour, colour_limit, draw_cover
 from palmar.tools.cover_place import MM, surface_errors, worst_places
@@ -23,13 +23,15 @@ from palmar.tools.cover_tree import check_tree
 from palmar.tools.dual_bound import MOST_BALLS, least_spheres
 from palmar.tools.mesh_files import CHECKS
 from palmar.tools.pack import SHAPE, Source, check_place, read_solid, tell_closing
-from palmar.tools.solid import Solid, make_solid
+from palmar.tools.solid import Solid, make_solid, smooth_normals
 from palmar.tools.spheres_csv import read_spheres_csv
+from palmar.unwrap import unwrap
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 OF_A_COVER = {"index.html", "cover.json", "pictures", "maps"}
+_TEXELS = 250_000  # of the surface, about
 # Below this nothing is worth a place in a list.
 _LEAST_OF_SIZE = 1e-6
 _FADE = 4.0
@@ -107,7 +109,8 @@ def _measure_all(
     subject: Subject, covers: list[Cover], folder: Path, bound: bool, seed: int, tell: Progress
 ) -> dict[str, Any]:
     solid = make_solid(subject.vertices_m, subject.faces)
-    surface = unwrap(solid, TEXELS)
+    surface = unwrap(solid.vertices, solid.faces, _TEXELS)
+    normals = smooth_normals(solid, surface.points, surface.face)
     steps = 3 * len(covers)
     rows: list[dict[str, Any]] = []
     for number, cover in enumerate(covers):
@@ -126,7 +129,7 @@ def _measure_all(
         (folder / kind).mkdir()
     for number, (cover, row) in enumerate(zip(covers, rows, strict=True)):
         tell(f"{cover.name}: map", (len(covers) + 2 * number) / steps)
-        errors = surface_errors(solid, cover.spheres, surface.points, surface.normals)
+        errors = surface_errors(solid, cover.spheres, surface.points, normals)
         pitch = float(np.sqrt(solid.areas.sum() / len(cover.spheres)))
         row["worst_places"] = [
             place

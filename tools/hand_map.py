@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from palmar.exr import shown, write_exr
 from palmar.model import HandModel
-from palmar.tools.cover_map import unwrap
-from palmar.tools.exr import shown, write_exr
 from palmar.tools.hand_picture import colours_of
 from palmar.tools.hand_quality import MM, capsules_of, hybrid_gap
 from palmar.tools.hand_shape import points_at, pose_hand, sweep_angles
-from palmar.tools.solid import make_solid
+from palmar.unwrap import unwrap
 
 Array = NDArray[np.float64]
 
@@ -29,7 +28,7 @@ def write_hand_map(path: str | Path, hand: HandModel) -> list[str]:
     rest; A is 1 on the surface.
     """
     assert hand.mesh is not None
-    surface = unwrap(make_solid(hand.mesh.vertices_m, hand.mesh.faces), TEXELS)
+    surface = unwrap(hand.mesh.vertices_m, hand.mesh.faces, TEXELS)
     skin = points_at(hand.mesh, surface.face, surface.share)
     poses = {"rest": hand.mesh.flexion_rad} | {f"bent{d}": sweep_angles(hand, d) for d in BENT_DEG}
     values: dict[str, Array] = {}

@@ -91,8 +91,7 @@ class Charts {
     const width = this.plot.clientWidth - MARGIN.l - MARGIN.r;
     const x = (time - start) / (end - start);
     this.cursor.hidden = x < 0 || x > 1;
-    this.cursor.style.left = `${MARGIN.l + x * width}px`;
-    this.cursor.style.top = `${MARGIN.t}px`;
+    this.cursor.style.transform = `translate(${MARGIN.l + x * width}px, ${MARGIN.t}px)`;
     this.cursor.style.height = `${this.plot.clientHeight - MARGIN.t - MARGIN.b}px`;
   }
 }

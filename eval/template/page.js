@@ -21,7 +21,7 @@ class Replay {
     this.clock = find(".clock");
     this.button = find(".play");
     this.speed = find(".speed");
-    this.numbers = find(".readouts");
+    this.cells = Object.fromEntries(run.readouts.map(({ key }) => [key, find(`.readouts [data-key="${key}"]`)]));
     this.playing = false;
     if (sharedRenderer()) {
       this.view = new View(find(".view canvas"), run.poses, content.hands[run.hand], content.objects[run.object],
@@ -30,11 +30,19 @@ class Replay {
       find(".view").classList.add("without-webgl");
     }
     this.charts = new Charts(find(".charts"), run.panels, run.phases, time => this.goTo(time));
-    this.slider.addEventListener("input", () => this.show(Number(this.slider.value)));
+    this.slider.addEventListener("input", () => this.show(Number(this.slider.value), true));
     this.button.addEventListener("click", () => this.play(!this.playing));
     find(".look").addEventListener("click", () => this.view?.look());
     section.querySelectorAll("[data-toggle]").forEach(box => {
       box.addEventListener("change", () => this.view?.toggle(box.dataset.toggle, box.checked));
+    });
+    find(".colour").addEventListener("change", event => {
+      const what = event.target.value, end = this.view?.depthEnd[what];
+      this.view?.colour(what);
+      find(".depth-scale").hidden = end === undefined;
+      find(".depth-text").textContent = what === "graphic"
+        ? `0 to ${end} mm: each link of the graphic hand in the true mesh, and the object's surface in that hand`
+        : `0 to ${end} mm: the object's surface in the haptic hand`;
     });
     section.querySelectorAll("[data-step]").forEach(button => {
       button.addEventListener("click", () => this.show(this.steps.indexOf(Number(button.dataset.step))));
@@ -46,17 +54,24 @@ class Replay {
     this.show(nearest(this.times, time));
   }
 
-  show(frame) {
+  // A moment of play, which may be between two frames.
+  pass(time) {
+    const frame = nearest(this.times, time), toward = Math.min(Math.max(frame + Math.sign(time - this.times[frame]), 0), this.times.length - 1);
+    const span = this.times[toward] - this.times[frame];
+    this.show(frame, true, toward, span ? (time - this.times[frame]) / span : 0);
+  }
+
+  show(frame, moving = false, toward = frame, share = 0) {
     this.frame = frame;
     this.slider.value = frame;
-    this.view?.show(frame);
+    this.view?.show(frame, moving, toward, share);
     this.charts.moveCursor(this.times[frame]);
     const time = this.times[frame];
     const phase = this.phases.find(p => time >= p.start_s && time < p.end_s);
     this.clock.textContent = `${time.toFixed(3)} s · step ${this.steps[frame]}${phase ? " · " + phase.name : ""}`;
     for (const { key, digits, values } of this.readouts) {
       const value = values[frame];
-      this.numbers.querySelector(`[data-key="${key}"]`).textContent = Number.isNaN(value) ? "–" : value.toFixed(digits);
+      this.cells[key].textContent = Number.isNaN(value) ? "–" : value.toFixed(digits);
     }
   }
 
@@ -75,7 +90,7 @@ class Replay {
         this.play(false);
         return;
       }
-      this.goTo(time);
+      this.pass(time);
       requestAnimationFrame(tick);
     };
     requestAnimationFrame(tick);

@@ -1,10 +1,13 @@
 // 3-D replay. Lengths are millimetres on screen, metres in the data: three's controls ignore moves far below 1 unit.
 const MM = 1000;
-const SMOOTH_ABOVE_FACES = 8000;
-const SKIN = 0xe3ae8c, HAPTIC = 0x2f6fde, OBJECT = 0x9ba6b3, SPHERES = 0x7fa88b, FORCE = 0xc8102e;
+const SKIN = 0xe3ae8c, HAPTIC = 0x2f6fde, OBJECT = 0x9ba6b3, SPHERES = 0x7fa88b, FORCE = 0xc8102e, CONTACT = 0x5b1a8c;
+// Where the processor draws, what moves is drawn with fewer triangles and half as fine, and whole once it rests.
+const MOST_CONTACTS = 16; // of a frame
+const LIGHT_SCALE = 0.5, REST_MS = 180;
 
 function decode(packed) {
-  const bytes = Uint8Array.from(atob(packed.base64), c => c.charCodeAt(0));
+  const text = atob(packed.base64), bytes = new Uint8Array(text.length);
+  for (let i = 0; i < bytes.length; i++) bytes[i] = text.charCodeAt(i);
   const values = packed.dtype === "<u4" ? new Uint32Array(bytes.buffer) : new Float32Array(bytes.buffer);
   values.width = packed.shape.length > 1 ? packed.shape.slice(1).reduce((a, b) => a * b) : 1;
   values.row = i => values.subarray(i * values.width, (i + 1) * values.width);
@@ -12,12 +15,12 @@ function decode(packed) {
 }
 
 // One WebGL context draws every run; browsers allow only about sixteen of them.
-let renderer = null;
+let renderer = null, software = false;
 function sharedRenderer() {
   const probe = renderer === null && new OffscreenCanvas(1, 1).getContext("webgl2");
   if (probe) {
     const named = probe.getExtension("WEBGL_debug_renderer_info");
-    const software = named && /swiftshader|llvmpipe|software/i.test(probe.getParameter(named.UNMASKED_RENDERER_WEBGL));
+    software = named && /swiftshader|llvmpipe|software/i.test(probe.getParameter(named.UNMASKED_RENDERER_WEBGL));
     // Smooth edges take twice the time where the processor draws them.
     renderer = new THREE.WebGLRenderer({
       canvas: new OffscreenCanvas(1, 1), antialias: !software, alpha: true, stencil: true,
@@ -28,36 +31,39 @@ function sharedRenderer() {
 }
 
 // Side view of a hull of two spheres, turned about y; x, y, z, radius of each sphere, `origin` is taken off.
-function capsuleMesh(c, origin) {
+function capsuleMesh(c, origin, light) {
   const a = new THREE.Vector3(c[0] - origin[0], c[1] - origin[1], c[2] - origin[2]);
   const b = new THREE.Vector3(c[4] - origin[0], c[5] - origin[1], c[6] - origin[2]);
   const length = a.distanceTo(b);
   const seam = Math.asin(Math.max(-1, Math.min(1, (c[3] - c[7]) / length)));
   const profile = [];
   const arc = (from, to, radius, height) => {
-    for (let i = 0; i <= 6; i++) {
-      const angle = from + (to - from) * i / 6;
+    const parts = light ? 2 : 6;
+    for (let i = 0; i <= parts; i++) {
+      const angle = from + (to - from) * i / parts;
       profile.push(new THREE.Vector2(Math.max(0, radius * Math.cos(angle)), height + radius * Math.sin(angle)));
     }
   };
   arc(-Math.PI / 2, seam, c[3], 0);
   arc(seam, Math.PI / 2, c[7], length);
-  const geometry = new THREE.LatheGeometry(profile, 20);
+  const geometry = new THREE.LatheGeometry(profile, light ? 8 : 20);
   const turn = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(0, 1, 0), b.clone().sub(a).normalize());
   return geometry.applyQuaternion(turn).translate(a.x, a.y, a.z);
 }
 
 // Kinematics of docs/formats.md as nested nodes: abduction, then flexion, each axis carried by the turns before it.
-// `passes` are the materials each part is drawn with, in order.
-function buildHand(shape, passes) {
+// `passes` are the materials each part is drawn with, in order; `links` the 16 materials of the first pass, palm first.
+function buildHand(shape, passes, light = false) {
   const root = new THREE.Group();
   const joints = decode(shape.joint_m), axes = decode(shape.flexion_axis), abductions = decode(shape.abduction_axis);
   const capsules = decode(shape.capsules_m), palm = decode(shape.palm_spheres_m), tips = decode(shape.tip_m);
   const joint = i => Array.from(joints.subarray(3 * i, 3 * i + 3));
   const vector = (values, i) => new THREE.Vector3(values[3 * i], values[3 * i + 1], values[3 * i + 2]);
 
-  const ball = new THREE.SphereGeometry(1, 18, 12);
-  for (const { material, order } of passes) {
+  const ball = light ? new THREE.SphereGeometry(1, 7, 5) : new THREE.SphereGeometry(1, 18, 12);
+  const links = Array.from({ length: 16 }, () => passes[0].material.clone());
+  for (const [k, { material: shared, order }] of passes.entries()) {
+    const material = k ? shared : links[0];
     const spheres = new THREE.InstancedMesh(ball, material, palm.length / 4);
     for (let i = 0; i < palm.length / 4; i++) {
       const [x, y, z, r] = palm.row(i);
@@ -74,9 +80,9 @@ function buildHand(shape, passes) {
       const i = 3 * finger + phalanx, at = joint(i);
       const node = new THREE.Group();
       node.position.set(at[0] - before[0], at[1] - before[1], at[2] - before[2]);
-      const geometry = capsuleMesh(capsules.subarray(8 * i, 8 * i + 8), at);
-      for (const { material, order } of passes) {
-        const mesh = new THREE.Mesh(geometry, material);
+      const geometry = capsuleMesh(capsules.subarray(8 * i, 8 * i + 8), at, light);
+      for (const [k, { material, order }] of passes.entries()) {
+        const mesh = new THREE.Mesh(geometry, k ? material : links[1 + i]);
         mesh.renderOrder = order;
         node.add(mesh);
       }
@@ -92,7 +98,7 @@ function buildHand(shape, passes) {
   const turn = new THREE.Quaternion();
   function pose(q) {
     root.position.set(q[0], q[1], q[2]);
-    root.quaternion.set(q[4], q[5], q[6], q[3]);
+    root.quaternion.set(q[4], q[5], q[6], q[3]).normalize();
     nodes.forEach((node, i) => {
       node.quaternion.setFromAxisAngle(vector(axes, i), q[7 + i]);
       if (i % 3 === 0) {
@@ -101,18 +107,72 @@ function buildHand(shape, passes) {
       }
     });
   }
-  return { root, nodes, fingertips, pose };
+  // Balls as x, y, z, radius and capsules as two of them, in the frame that `into` takes the world to.
+  function solids(into) {
+    const found = [], frame = new THREE.Matrix4();
+    const put = (x, y, z) => new THREE.Vector3(x, y, z).applyMatrix4(frame);
+    frame.multiplyMatrices(into, root.matrixWorld);
+    for (let i = 0; i < palm.length / 4; i++) {
+      const [x, y, z, r] = palm.row(i), at = put(x, y, z);
+      found.push([at, r, at, r]);
+    }
+    nodes.forEach((node, i) => {
+      const c = capsules.subarray(8 * i, 8 * i + 8), o = joint(i);
+      frame.multiplyMatrices(into, node.matrixWorld);
+      found.push([put(c[0] - o[0], c[1] - o[1], c[2] - o[2]), c[3], put(c[4] - o[0], c[5] - o[1], c[6] - o[2]), c[7]]);
+    });
+    return found;
+  }
+  return { root, nodes, fingertips, pose, links, solids };
+}
+
+// Depth in metres of each of the points inside a hull of two balls, the deepest of all hulls.
+function depthInside(points, hulls) {
+  const depth = new Float32Array(points.length / 3);
+  for (const [a, ra, b, rb] of hulls) {
+    const dx = b.x - a.x, dy = b.y - a.y, dz = b.z - a.z, length = Math.hypot(dx, dy, dz);
+    const mx = (a.x + b.x) / 2, my = (a.y + b.y) / 2, mz = (a.z + b.z) / 2, reach = (length / 2 + Math.max(ra, rb)) ** 2;
+    const sine = length > 0 ? (ra - rb) / length : 0, tangent = sine / Math.sqrt(Math.max(1e-12, 1 - sine * sine));
+    for (let i = 0, k = 0; k < points.length; i++, k += 3) {
+      const x = points[k], y = points[k + 1], z = points[k + 2];
+      if ((x - mx) ** 2 + (y - my) ** 2 + (z - mz) ** 2 > reach) continue;
+      const px = x - a.x, py = y - a.y, pz = z - a.z;
+      const along = length > 0 ? (px * dx + py * dy + pz * dz) / length : 0;
+      const across = Math.sqrt(Math.max(0, px * px + py * py + pz * pz - along * along));
+      const s = Math.min(length, Math.max(0, along - across * tangent));
+      depth[i] = Math.max(depth[i], ra - s * sine - Math.hypot(along - s, across));
+    }
+  }
+  return depth;
+}
+
+// From a colour at depth 0 over orange to dark red at depth 1.
+const SHALLOW = new THREE.Color(0xf5a623), DEEP = new THREE.Color(0xa3001e);
+function depthColour(into, plain, share) {
+  const t = Math.min(1, Math.max(0, share));
+  return t < 0.5 ? into.copy(plain).lerp(SHALLOW, 2 * t) : into.copy(SHALLOW).lerp(DEEP, 2 * t - 1);
+}
+
+function meshOf(vertices, faces, flat) {
+  const indexed = new THREE.BufferGeometry();
+  indexed.setAttribute("position", new THREE.BufferAttribute(vertices, 3));
+  indexed.setIndex(new THREE.BufferAttribute(faces, 1));
+  const geometry = flat ? indexed.toNonIndexed() : indexed;
+  geometry.computeVertexNormals();
+  const count = geometry.attributes.position.count;
+  geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(3 * count), 3));
+  // Lambert is lit at the vertices, which software rendering can afford.
+  const mesh = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: OBJECT }));
+  mesh.renderOrder = -1; // before the hand, so that the stencil holds what is seen of it
+  return mesh;
 }
 
 function buildObject(shape) {
-  const indexed = new THREE.BufferGeometry();
-  indexed.setAttribute("position", new THREE.BufferAttribute(decode(shape.vertices_m), 3));
-  indexed.setIndex(new THREE.BufferAttribute(decode(shape.faces), 1));
   // A coarse mesh shows its facets: every corner gets a vertex of its own. A dense one is shaded smoothly.
-  const mesh = indexed.index.count < 3 * SMOOTH_ABOVE_FACES ? indexed.toNonIndexed() : indexed;
-  mesh.computeVertexNormals();
-  // Lambert is lit at the vertices, which software rendering can afford.
-  const solid = new THREE.Mesh(mesh, new THREE.MeshLambertMaterial({ color: OBJECT }));
+  const faces = decode(shape.faces);
+  const solid = meshOf(decode(shape.vertices_m), faces, shape.flat);
+  const light = meshOf(decode(shape.light_vertices_m), decode(shape.light_faces), shape.flat);
+  light.visible = false;
   const spheres = decode(shape.spheres_m), count = spheres.length / 4;
   // Few triangles each when there are many: software rendering must keep up too.
   const ball = count > 1500 ? new THREE.SphereGeometry(1, 9, 6) : new THREE.SphereGeometry(1, 18, 12);
@@ -123,10 +183,10 @@ function buildObject(shape) {
   }
   balls.frustumCulled = false;
   balls.visible = false;
-  solid.renderOrder = balls.renderOrder = -1; // before the hand, so that the stencil holds what is seen of it
+  balls.renderOrder = -1;
   const root = new THREE.Group();
-  root.add(solid, balls);
-  return { root, solid, balls };
+  root.add(solid, light, balls);
+  return { root, solid, light, balls };
 }
 
 class View {
@@ -138,6 +198,11 @@ class View {
     this.haptic = decode(poses.haptic);
     this.objectPose = decode(poses.object);
     this.force = decode(poses.fingertip_force_n);
+    this.contacts = Object.fromEntries(Object.entries(poses.contacts).map(([name, packed]) => [name, decode(packed)]));
+    this.linkDepth = poses.link_depth_mm && decode(poses.link_depth_mm);
+    this.depthEnd = poses.depth_end_mm ?? { graphic: 0.1, haptic: 5 };
+    this.shown = { graphic: true, haptic: true, forces: true, contacts: true, spheres: false };
+    this.coloured = "none";
 
     // The haptic hand: where the object hides it, a flat tint, once a pixel and never over the graphic hand (stencil 2);
     // elsewhere first its depth alone, then its front surface, pushed back a little so that the graphic hand wins where
@@ -161,6 +226,12 @@ class View {
       { material: tint, order: 1 }, { material: depth, order: 2 }, { material: front, order: 3 },
     ]);
     this.object = buildObject(objectShape);
+    this.whole = [this.hand, this.ghost];
+    this.light = null; // the same two with fewer triangles, made when they are first needed
+    this.lightPasses = [{ material: skin, order: 0 }, {
+      material: new THREE.MeshLambertMaterial({ color: HAPTIC, transparent: true, opacity: 0.4, ...behind }), order: 3,
+    }];
+    this.handShape = handShape;
     this.arrows = this.hand.fingertips.map(() => {
       const arrow = new THREE.ArrowHelper(new THREE.Vector3(0, 1, 0), new THREE.Vector3(), 1, FORCE);
       for (const part of [arrow.line, arrow.cone]) {
@@ -169,11 +240,18 @@ class View {
       }
       return arrow;
     });
+    const over = { depthTest: false, transparent: true };
+    this.dots = new THREE.InstancedMesh(new THREE.SphereGeometry(1, 8, 6), new THREE.MeshBasicMaterial({ color: CONTACT, ...over }), MOST_CONTACTS);
+    this.dots.frustumCulled = false;
+    this.pushes = new THREE.LineSegments(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: CONTACT, ...over }));
+    this.pushes.geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(6 * MOST_CONTACTS), 3));
+    this.pushes.frustumCulled = false;
+    this.dots.renderOrder = this.pushes.renderOrder = 4;
     this.world = new THREE.Group();
     this.world.scale.setScalar(MM);
     this.world.add(this.object.root, this.hand.root, this.ghost.root);
     this.scene = new THREE.Scene();
-    this.scene.add(this.world, ...this.arrows, new THREE.HemisphereLight(0xffffff, 0x6b7280, 0.65));
+    this.scene.add(this.world, ...this.arrows, this.dots, this.pushes, new THREE.HemisphereLight(0xffffff, 0x6b7280, 0.65));
     this.camera = new THREE.PerspectiveCamera(32, 1, 5, 5000);
     const lamp = new THREE.DirectionalLight(0xffffff, 0.55);
     lamp.position.set(-0.4, 0.7, 1);
@@ -184,8 +262,10 @@ class View {
     Object.assign(this.controls, { staticMoving: true, rotateSpeed: 2.5, zoomSpeed: 1.2, panSpeed: 0.6 });
     this.pending = false;
     for (const event of ["pointerdown", "pointermove", "pointerup", "wheel"]) {
-      canvas.addEventListener(event, () => this.schedule());
+      canvas.addEventListener(event, () => (event !== "pointermove" || this.dragged) && this.schedule(true));
     }
+    canvas.addEventListener("pointerdown", () => { this.dragged = true; });
+    window.addEventListener("pointerup", () => { this.dragged = false; });
     new ResizeObserver(() => this.resize()).observe(canvas);
     this.show(first);
     this.resize();
@@ -213,14 +293,16 @@ class View {
     this.schedule();
   }
 
-  show(frame) {
+  // `toward` and `share`: part of the way to another frame, for smooth play between poses that are far apart in time.
+  show(frame, moving = false, toward = frame, share = 0) {
     this.frame = frame;
-    this.hand.pose(this.graphic.row(frame));
-    this.ghost.pose(this.haptic.row(frame));
-    const o = this.objectPose.row(frame);
+    this.posed = [this.graphic, this.haptic].map(of => between(of.row(frame), of.row(toward), share));
+    const o = between(this.objectPose.row(frame), this.objectPose.row(toward), share);
     this.object.root.position.set(o[0], o[1], o[2]);
-    this.object.root.quaternion.set(o[4], o[5], o[6], o[3]);
-    this.schedule();
+    this.object.root.quaternion.set(o[4], o[5], o[6], o[3]).normalize();
+    this.whole.forEach((hand, k) => hand.pose(this.posed[k]));
+    this.light?.forEach((hand, k) => hand.pose(this.posed[k]));
+    this.schedule(moving);
   }
 
   placeArrows() {
@@ -229,7 +311,7 @@ class View {
     this.arrows.forEach((arrow, finger) => {
       const f = new THREE.Vector3(force[3 * finger], force[3 * finger + 1], force[3 * finger + 2]);
       const size = f.length() * this.forceMmPerN;
-      arrow.visible = size > 0.2 && !this.withoutForces;
+      arrow.visible = size > 0.2 && this.shown.forces;
       if (!arrow.visible) return;
       this.hand.fingertips[finger].getWorldPosition(arrow.position);
       arrow.setDirection(f.normalize());
@@ -237,18 +319,67 @@ class View {
     });
   }
 
-  toggle(what, on) {
-    if (what === "spheres") {
-      this.object.balls.visible = on;
-      this.object.solid.visible = !on;
-    } else if (what === "haptic") {
-      this.ghost.root.visible = on;
-    } else if (what === "graphic") {
-      this.hand.root.visible = on;
-    } else {
-      this.withoutForces = !on;
+  placeContacts() {
+    const { start, point_m, force_n } = this.contacts, at = start[this.frame], count = this.shown.contacts ? start[this.frame + 1] - at : 0;
+    const ends = this.pushes.geometry.attributes.position, place = new THREE.Matrix4();
+    for (let k = 0; k < count; k++) {
+      const p = point_m.row(at + k), f = force_n.row(at + k);
+      this.dots.setMatrixAt(k, place.makeScale(0.9, 0.9, 0.9).setPosition(MM * p[0], MM * p[1], MM * p[2]));
+      ends.setXYZ(2 * k, MM * p[0], MM * p[1], MM * p[2]);
+      ends.setXYZ(2 * k + 1, ...[0, 1, 2].map(i => MM * p[i] + this.forceMmPerN * f[i]));
     }
+    this.dots.count = count;
+    this.dots.instanceMatrix.needsUpdate = ends.needsUpdate = true;
+    this.pushes.geometry.setDrawRange(0, 2 * count);
+  }
+
+  // What: none, graphic or haptic; how deep the object's surface is inside that hand, and of the graphic hand each link.
+  colour(what) {
+    this.coloured = what;
     this.schedule();
+  }
+
+  paint(hands, mesh) {
+    const on = this.coloured !== "none", { material, geometry } = mesh, into = new THREE.Color();
+    if (material.vertexColors !== on) {
+      material.vertexColors = on;
+      material.color.set(on ? 0xffffff : OBJECT);
+      material.needsUpdate = true;
+    }
+    const skin = new THREE.Color(SKIN), depths = this.coloured === "graphic" && this.linkDepth?.row(this.frame);
+    hands[0].links.forEach((link, k) => depthColour(link.color, skin, depths ? depths[k] / this.depthEnd.graphic : 0));
+    if (!on) return;
+    const whole = this.whole[this.coloured === "graphic" ? 0 : 1];
+    const depth = depthInside(geometry.attributes.position.array, whole.solids(this.object.root.matrixWorld.clone().invert()));
+    const plain = new THREE.Color(OBJECT), colours = geometry.attributes.color, scale = MM / this.depthEnd[this.coloured];
+    for (let i = 0; i < depth.length; i++) {
+      depthColour(into, plain, depth[i] * scale);
+      colours.setXYZ(i, into.r, into.g, into.b);
+    }
+    colours.needsUpdate = true;
+  }
+
+  toggle(what, on) {
+    this.shown[what] = on;
+    this.schedule();
+  }
+
+  // Shows the parts of one detail; gives the hands and the object's mesh of it.
+  choose(light) {
+    if (light && !this.light) {
+      this.light = this.lightPasses.map(pass => buildHand(this.handShape, [pass], true));
+      this.light.forEach((hand, k) => hand.pose(this.posed[k]));
+      this.world.add(...this.light.map(hand => hand.root));
+    }
+    const hands = light ? this.light : this.whole;
+    for (const [other, of] of [[!light, this.whole], [light, this.light]]) {
+      of?.forEach((hand, k) => { hand.root.visible = other && (k ? this.shown.haptic && this.coloured === "none" : this.shown.graphic); });
+    }
+    const { solid, light: few, balls } = this.object;
+    balls.visible = this.shown.spheres && !light;
+    solid.visible = !this.shown.spheres && !light;
+    few.visible = light;
+    return [hands, light ? few : solid];
   }
 
   resize() {
@@ -261,22 +392,33 @@ class View {
     this.schedule();
   }
 
-  schedule() {
+  schedule(moving = false) {
+    this.moving = moving && software;
+    clearTimeout(this.rest);
+    if (this.moving) this.rest = setTimeout(() => this.schedule(), REST_MS);
     if (this.pending) return;
     this.pending = true;
     requestAnimationFrame(() => {
       this.pending = false;
-      this.draw();
+      this.draw(this.moving);
     });
   }
 
-  draw() {
-    const { width, height } = this, drawn = sharedRenderer();
+  draw(light = false) {
+    const drawn = sharedRenderer(), scale = light ? LIGHT_SCALE : 1;
+    const width = Math.max(1, Math.round(this.width * scale)), height = Math.max(1, Math.round(this.height * scale));
     this.controls.update();
+    const [hands, mesh] = this.choose(light);
     this.placeArrows();
+    this.placeContacts();
+    this.paint(hands, mesh);
     if (drawn.domElement.width !== width || drawn.domElement.height !== height) drawn.setSize(width, height, false);
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
     drawn.render(this.scene, this.camera);
     this.picture.transferFromImageBitmap(drawn.domElement.transferToImageBitmap());
   }
+}
+
+function between(a, b, share) {
+  return share ? a.map((value, k) => value + share * (b[k] - value)) : a;
 }

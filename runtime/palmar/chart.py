@@ -13,9 +13,8 @@ import math
 import os
 import tempfile
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from palmar.model import load_pack, write_whole
 from palmar.noise import kernel, noise_note
 from palmar.records import read_run
 from palmar.replay import machine, replay_file
+from palmar.workers import workers
 
 Progress = Callable[[str, float], None]
 
@@ -216,7 +216,7 @@ def keys_of(jobs: Sequence[Job]) -> list[str]:
     return names
 
 
-def _judge_all(jobs: Sequence[Job], keys: Sequence[str], workers: int, folder: Path, progress: Progress) -> None:
+def _judge_all(jobs: Sequence[Job], keys: Sequence[str], count: int, folder: Path, progress: Progress) -> None:
     todo = {
         key: job
         for job, key in zip(jobs, keys, strict=True)
@@ -224,17 +224,12 @@ def _judge_all(jobs: Sequence[Job], keys: Sequence[str], workers: int, folder: P
     }
     if not todo:
         return
-    # A fresh process each: a fork of one that has threads may stand still.
-    with ProcessPoolExecutor(max_workers=min(workers, len(todo)), mp_context=get_context("spawn")) as pool:
+    with workers(min(count, len(todo))) as pool:
         waiting = {pool.submit(judge_job, job): key for key, job in todo.items()}
-        try:
-            for done, answer in enumerate(as_completed(waiting)):
-                key = waiting[answer]
-                write_whole(folder / f"{key}.json", json.dumps(answer.result(), indent=1).encode())
-                progress(f"judged {todo[key].solver} {todo[key].level} {todo[key].name}", (done + 1) / len(todo))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for done, answer in enumerate(as_completed(waiting)):
+            key = waiting[answer]
+            write_whole(folder / f"{key}.json", json.dumps(answer.result(), indent=1).encode())
+            progress(f"judged {todo[key].solver} {todo[key].level} {todo[key].name}", (done + 1) / len(todo))
 
 
 def judge_job(job: Job) -> dict[str, Any]:

@@ -1,10 +1,11 @@
 """The command line: runs a verb and turns whatever went wrong into one line and an exit code.
 
 Exit codes: 0 fine; 1 a limit of a scene does not hold; 2 bad input, with one line on stderr; 3 recovered with loss;
-70 a bug of Palmar; 130 Ctrl-C. Verbs import their stage only when they run.
+70 a bug of Palmar; 130 Ctrl-C; 143 SIGTERM. Verbs import their stage only when they run.
 """
 
 import os
+import signal
 import sys
 from typing import Annotated
 
@@ -23,7 +24,8 @@ STOPPED = 130
 
 
 def main() -> None:
-    """Run a command line and exit with its code."""
+    """Run a command line and exit with its code. SIGTERM ends it as Ctrl-C does: what it began is tidied up."""
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     sys.exit(run(sys.argv[1:]))
 
 

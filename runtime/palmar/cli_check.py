@@ -135,12 +135,13 @@ def compare(
     pack: Annotated[
         list[Path] | None, typer.Option("--pack", help="Pack of a run; also looked for beside it. May be repeated.")
     ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for a page of both.")] = None,
     json: Json = False,
 ) -> int:
     """Run against run: first differing step, largest differences, metrics; the exit code is 1 unless they are equal."""
     from palmar.compare import compare_files, print_comparison
     from palmar.terminal import print_json
 
-    answer = compare_files(a, b, pack or [])
+    answer = compare_files(a, b, pack or [], out)
     print_json(answer) if json else print_comparison(answer)
     return 0 if answer["equal"] else FAILED

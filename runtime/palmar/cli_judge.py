@@ -2,11 +2,11 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from palmar.cli_app import FAILED, LOSS, Json, Object, OutFolder, app, complain, parse_pairs
+from palmar.cli_app import FAILED, LOSS, Json, Object, OutFolder, Seed, app, complain, parse_pairs
 from palmar.errors import PalmarError
 
 
@@ -88,7 +88,9 @@ def _verify(run: Path, pack: Path, trace: Path, json: bool) -> int:
 
 @app.command()
 def report(
-    runs: Annotated[list[Path], typer.Argument(help="Runs to judge.")],
+    runs: Annotated[
+        list[Path] | None, typer.Argument(help="Runs to judge; with --paper packs and traces, built-in ones if none.")
+    ] = None,
     *,
     out: OutFolder,
     pack: Annotated[
@@ -99,9 +101,20 @@ def report(
         list[Path] | None,
         typer.Option("--reference", help="Run of the same trace to compare the cost with. May be repeated."),
     ] = None,
+    paper: Annotated[
+        bool, typer.Option("--paper", help="The paper's experiments again: its figures and table, of these objects.")
+    ] = False,
+    repeats: Annotated[int, typer.Option("--repeats", min=1, help="Timed replays of each, with --paper.")] = 3,
+    seed: Seed = 0,
     json: Json = False,
 ) -> None:
     """Runs -> a page, figures, tables and metrics.json."""
+    if paper:
+        if pack or reference:
+            raise PalmarError("E-USAGE", "--paper", "goes without --pack and --reference; packs are arguments")
+        return _paper(runs or [], out, repeats, seed, json)
+    if not runs:
+        raise PalmarError("E-USAGE", "palmar report", "no RUN; name runs, or pass --paper")
     from palmar.eval.report import write_report
     from palmar.files import find_packs, require_file, require_folder
     from palmar.reference import same_start
@@ -120,4 +133,33 @@ def report(
     if json:
         print_json(answer)
     else:
-        print(*(f"{run['run']}: {run['verdict']}" for run in answer["runs"]), f"report: {answer['page']}", sep="\n")
+        for told in answer["runs"]:
+            print(f"{told['run']}: {told['verdict']}", *_recomputed(told["recomputed"]), sep="\n")
+        print(f"report: {answer['page']}")
+
+
+def _recomputed(found: dict[str, Any] | None) -> list[str]:
+    if not found or not found["contacts"]:
+        return []
+    same = "equal" if found["same"] else "NOT equal"
+    said = f"gaps {same} to {found['gap_mm']:.2g} mm (allowed {found['tolerance_mm']:g})"
+    return [f"recomputed: {found['contacts']:,} contacts of {found['steps']:,} random steps, {said}"]
+
+
+def _paper(files: list[Path], out: Path, repeats: int, seed: int, json: bool) -> None:
+    from palmar.paper import make_paper
+    from palmar.terminal import print_json, print_table, progress_bar
+
+    with progress_bar(not json) as progress:
+        answer = make_paper(files, out, repeats=repeats, seed=seed, progress=progress)
+    if json:
+        print_json(answer)
+        return
+    if answer["table"]:
+        print_table(list(answer["table"][0]), [list(row.values()) for row in answer["table"]])
+    print(
+        *answer["figures"].values(),
+        *([answer["note"]] if answer["note"] else []),
+        f"report: {answer['page']}",
+        sep="\n",
+    )

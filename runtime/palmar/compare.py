@@ -2,41 +2,55 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from palmar.eval.compare import compare_runs, inputs, what_differs
+from palmar.eval.compare_page import build_page
 from palmar.eval.metrics import measure
-from palmar.files import find_packs, require_file
+from palmar.files import find_packs, require_file, require_own_folder, whole_folder
 from palmar.model import load_pack
 from palmar.records import Run, read_run
 
 COMPARE_SCHEMA = "palmar.compare/1"
+OF_A_COMPARISON = {"index.html", "compare.json"}
 
 
-def compare_files(a: Path, b: Path, packs: Sequence[Path]) -> dict[str, Any]:
+def compare_files(a: Path, b: Path, packs: Sequence[Path], out: Path | None = None) -> dict[str, Any]:
     """Two runs side by side: what `compare_runs` says, and with packs the metrics and what the packs differ in.
 
     packs: besides those beside the runs. {..., "metrics": [{"metric", "stat", "unit", "values": [a, b]}], "packs":
-    lines}; without a pack "metrics" is None. Raises BadTrace.
+    lines}; without a pack "metrics" is None. out: a folder for a page of it, which needs the packs; then also "page".
+    Raises BadTrace, BadPack, PalmarError.
     """
+    if out is not None:
+        require_own_folder(out, OF_A_COMPARISON, "comparison")
     runs = [read_run(require_file(path)) for path in (a, b)]
     answer: dict[str, Any] = {"schema": COMPARE_SCHEMA, "runs": [str(a), str(b)], **compare_runs(*runs)}
-    paths = [path for _, path in find_packs([a, b], packs)] if packs or _beside(a, b, runs) else None
+    paths = [path for _, path in find_packs([a, b], packs)] if packs or out or _beside(a, b, runs) else None
     if paths is None:
         return {**answer, "metrics": None, "packs": []}
     assets = [load_pack(path) for path in paths]
     names = [run.header.get("object", "") for run in runs]
     levels = [int(run.header.get("level", -1)) for run in runs]
     parts = [inputs(pack, name, level) for pack, name, level in zip(assets, names, levels, strict=True)]
-    rows = [measure(run, pack, name)[0] for run, pack, name in zip(runs, assets, names, strict=True)]
+    measured = [measure(run, pack, name) for run, pack, name in zip(runs, assets, names, strict=True)]
+    rows = [each[0] for each in measured]
     metrics = [
         {key: one[key] for key in ("metric", "stat", "unit")} | {"values": [one["value"], other["value"]]}
         for one, other in zip(*rows, strict=True)
         if one["value"] is not None or other["value"] is not None
     ]
-    return {**answer, "metrics": metrics, "packs": what_differs(*parts)}
+    answer |= {"metrics": metrics, "packs": what_differs(*parts)}
+    if out is not None:
+        with whole_folder(out, OF_A_COMPARISON, "comparison") as folder:
+            page = build_page(answer, runs, assets, [each[1] for each in measured])
+            (folder / "index.html").write_text(page, encoding="utf-8")
+            (folder / "compare.json").write_text(json.dumps(answer, indent=1, sort_keys=True) + "\n")
+        answer["page"] = str(out / "index.html")
+    return answer
 
 
 def _beside(a: Path, b: Path, runs: Sequence[Run]) -> bool:
@@ -79,3 +93,5 @@ def print_comparison(answer: dict[str, Any]) -> None:
     ]
     if rows:
         print_table(("metric that differs", "a", "b", "unit"), rows)
+    if "page" in answer:
+        print(f"page: {answer['page']}")

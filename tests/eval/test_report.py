@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
-import subprocess
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from browser import ABSENT, AT_REST, CHROMIUM, DRIVER, open_browser
 
 from palmar.errors import PalmarError
 from palmar.eval.explain import MEANING
@@ -255,7 +254,7 @@ def test_an_earlier_report_is_replaced_whole(tmp_path):
     (out / "figures" / "old.png").write_text("")
     with whole_folder(out, OF_A_REPORT, "report") as folder:
         fill_folder([made_judged(steps=200)], folder, lambda what: None)
-    assert {path.name for path in out.iterdir()} == {"index.html", "metrics.json", "figures"}
+    assert {path.name for path in out.iterdir()} == OF_A_REPORT
     assert not (out / "figures" / "old.png").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["report"]  # no temporary folder stays
 
@@ -276,44 +275,18 @@ def test_the_page_asks_for_nothing_from_outside():
 
 # ---- in a browser
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-FLAGS = [
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--disable-extensions",
-    "--hide-scrollbars",
-    "--window-size=1280,900",
-]
-
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     """A page of two runs in headless Chromium."""
-    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
-    driver = shutil.which("chromedriver")
-    if not (CHROMIUM and driver):
-        pytest.skip("no Chromium with its chromedriver on this machine (Debian: chromium, chromium-driver)")
+    pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+    if not (CHROMIUM and DRIVER):
+        pytest.skip(ABSENT)
     folder = tmp_path_factory.mktemp("page")
     (folder / "index.html").write_text(
         build_page([made_judged("first"), made_judged("second")], "two"), encoding="utf-8"
     )
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for flag in (*FLAGS, f"--user-data-dir={folder / 'profile'}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    service = webdriver.ChromeService(executable_path=driver, log_output=subprocess.DEVNULL)
-    chrome = webdriver.Chrome(options=options, service=service)
-    chrome.set_script_timeout(20)
+    chrome = open_browser(folder / "profile")
     chrome.get((folder / "index.html").as_uri())
     yield chrome
     chrome.quit()
@@ -321,9 +294,7 @@ def browser(tmp_path_factory):
 
 def settled(chrome):
     """Wait until what was asked for has been drawn."""
-    chrome.execute_async_script(
-        "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 50)))"
-    )
+    chrome.execute_async_script(AT_REST)
 
 
 def move_slider(chrome, frame):
@@ -340,7 +311,7 @@ def test_the_slider_moves_the_hand_the_clock_and_the_cursor(browser):
     for frame in (0, 60, 100):
         move_slider(browser, frame)
         clock = browser.find_element("css selector", "#run-0 .clock").text
-        cursor = browser.find_element("css selector", "#run-0 .cursor").value_of_css_property("left")
+        cursor = browser.find_element("css selector", "#run-0 .cursor").value_of_css_property("transform")
         seen.append((canvas.screenshot_as_base64, clock, cursor))
     for before, after in pairwise(seen):
         assert all(a != b for a, b in zip(before, after, strict=True))

@@ -2,13 +2,14 @@ import numpy as np
 import pytest
 
 from palmar._runtime import union_exits, union_nearest
+from palmar.raster import find_hits, ranks
 from palmar.tools.cover import measure_cover
-from palmar.tools.cover_map import unwrap, write_map
+from palmar.tools.cover_map import write_map
 from palmar.tools.cover_picture import colour, colour_limit
 from palmar.tools.cover_place import surface_errors, worst_places
-from palmar.tools.raster import find_hits, ranks
 from palmar.tools.shapes import SHAPES
-from palmar.tools.solid import make_solid, signed_distance
+from palmar.tools.solid import make_solid, signed_distance, smooth_normals
+from palmar.unwrap import unwrap
 
 MM = 1e-3
 
@@ -25,6 +26,10 @@ def unit(vectors):
 def box(size):
     vertices, faces = SHAPES["cube"]()
     return make_solid(vertices / 0.07 * size, faces)
+
+
+def normals_of(solid, surface):
+    return smooth_normals(solid, surface.points, surface.face)
 
 
 def extruded(outline_mm, length_mm):
@@ -79,7 +84,7 @@ def test_what_lies_higher_ranks_first():
 @pytest.mark.parametrize("name", ["cube", "cup", "shamrock"])
 def test_every_point_of_a_surface_is_unwrapped_once(name):
     solid = make_solid(*SHAPES[name]())
-    surface = unwrap(solid, 40_000)
+    surface = unwrap(solid.vertices, solid.faces, 40_000)
     places = surface.row * surface.shape[1] + surface.column
     assert len(np.unique(places)) == len(places)
     assert surface.row.max() < surface.shape[0] and surface.column.max() < surface.shape[1]
@@ -90,8 +95,8 @@ def test_every_point_of_a_surface_is_unwrapped_once(name):
 
 def test_a_ball_1_mm_larger_than_a_sphere_sticks_out_by_1_mm_everywhere_and_is_felt_so():
     solid = make_solid(*SHAPES["sphere"]())
-    surface = unwrap(solid, 5_000)
-    errors = surface_errors(solid, np.array([[0, 0, 0, 0.041]]), surface.points, surface.normals)
+    surface = unwrap(solid.vertices, solid.faces, 5_000)
+    errors = surface_errors(solid, np.array([[0, 0, 0, 0.041]]), surface.points, normals_of(solid, surface))
     facet = 0.02 * MM  # how far facets lie inside the sphere of 40 mm
     assert np.abs(errors.protrusion_m - MM).max() < facet and errors.gap_m.max() == 0
     assert np.abs(errors.felt_offset_m - MM).max() < facet
@@ -102,8 +107,8 @@ def test_a_ball_1_mm_larger_than_a_sphere_sticks_out_by_1_mm_everywhere_and_is_f
 def test_the_ball_in_a_cube_leaves_gaps_that_are_worst_at_its_corners():
     solid = box(0.07)
     spheres = np.array([[0.0, 0.0, 0.0, 0.035]])
-    surface = unwrap(solid, 60_000)
-    errors = surface_errors(solid, spheres, surface.points, surface.normals)
+    surface = unwrap(solid.vertices, solid.faces, 60_000)
+    errors = surface_errors(solid, spheres, surface.points, normals_of(solid, surface))
     expected = np.linalg.norm(surface.points, axis=1) - 0.035
     np.testing.assert_allclose(errors.gap_m, expected, atol=1e-12)  # metres; rounding
     # Where the fingertip is free to sink, it does: offset is the other way than protrusion.
@@ -123,8 +128,8 @@ def test_a_thin_wall_is_named_with_its_thickness():
         [[x, y, 0.0, 0.0012] for x in np.arange(-0.039, 0.04, 0.002) for y in np.arange(-0.029, 0.03, 0.002)]
     )
     spheres = spheres[np.linalg.norm(spheres[:, :2], axis=1) > 0.01]  # a hole in the middle
-    surface = unwrap(solid, 60_000)
-    errors = surface_errors(solid, spheres, surface.points, surface.normals)
+    surface = unwrap(solid.vertices, solid.faces, 60_000)
+    errors = surface_errors(solid, spheres, surface.points, normals_of(solid, surface))
     (first, *_) = worst_places(solid, surface.points, errors.gap_m, surface.areas, 0, "gap", 0.001)
     assert (first["what"], first["thickness_mm"]) == ("thin wall", pytest.approx(1.0, abs=1e-3))
     assert np.linalg.norm(first["centre_mm"][:2]) < 1 and first["max_mm"] == pytest.approx(8.9, abs=0.5)
@@ -134,16 +139,16 @@ def test_a_filled_notch_is_named():
     # A V of 90 degrees in a block, bridged by a ball that touches both of its sides from above their middle.
     solid = extruded([(-30, -20), (30, -20), (30, 10), (10, 10), (0, 0), (-10, 10), (-30, 10)], 40.0)
     spheres = np.array([[0, 0.004, 0.02, 0.005], [0, -0.01, 0.02, 0.01]])
-    surface = unwrap(solid, 60_000)
-    errors = surface_errors(solid, spheres, surface.points, surface.normals)
+    surface = unwrap(solid.vertices, solid.faces, 60_000)
+    errors = surface_errors(solid, spheres, surface.points, normals_of(solid, surface))
     (first, *_) = worst_places(solid, surface.points, errors.protrusion_m, surface.areas, 0, "protrusion", 0.002)
     assert first["what"] == "concave notch" and abs(first["centre_mm"][0]) < 5
 
 
 def test_the_middle_of_a_flat_side_is_plain():
     solid = box(0.07)
-    surface = unwrap(solid, 20_000)
-    errors = surface_errors(solid, np.array([[0, 0, 0, 0.036]]), surface.points, surface.normals)
+    surface = unwrap(solid.vertices, solid.faces, 20_000)
+    errors = surface_errors(solid, np.array([[0, 0, 0, 0.036]]), surface.points, normals_of(solid, surface))
     first = worst_places(solid, surface.points, errors.protrusion_m, surface.areas, 0, "protrusion", 0.001)[0]
     # 36 mm - sqrt(36^2 - 0.9^2): a texel of 1.2 mm beside the middle.
     assert first["what"] == "plain side" and first["max_mm"] == pytest.approx(1.0, abs=0.012)
@@ -153,8 +158,8 @@ def test_the_map_reads_back_with_named_float_channels(tmp_path):
     import OpenEXR
 
     solid = make_solid(*SHAPES["cup"]())
-    surface = unwrap(solid, 5_000)
-    errors = surface_errors(solid, random_spheres(50, 4), surface.points, surface.normals)
+    surface = unwrap(solid.vertices, solid.faces, 5_000)
+    errors = surface_errors(solid, random_spheres(50, 4), surface.points, normals_of(solid, surface))
     names = write_map(tmp_path / "a.exr", surface, errors, colour(errors.signed_m * 1e3, 2.0))
     read = OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True).channels()
     assert set(read) == set(names)

@@ -33,6 +33,23 @@ def write_exr(
     return list(values)
 
 
+def write_parts(path: str | Path, parts: dict[str, dict[str, Array]], header: dict[str, Any]) -> None:
+    """Write one image a part, each with its own channels (rows, columns), float32; the header stands in every part."""
+    import OpenEXR
+
+    form = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    made = [
+        OpenEXR.Part(
+            {**form, **header},
+            {key: np.ascontiguousarray(image, dtype=np.float32) for key, image in images.items()},
+            name,
+        )
+        for name, images in parts.items()
+    ]
+    with OpenEXR.File(made) as out:
+        out.write(str(path))
+
+
 def shown(colours: Array) -> dict[str, Array]:
     """The channels R, G, B, linear as viewers take them, of sRGB colours (n, 3), and A = 1: there is a surface."""
     linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
