@@ -12,9 +12,10 @@ from palmar.tools.scan_warp import Warp
 
 Array = NDArray[np.float64]
 
-# Round by round: farthest match, and what a difference between neighbours costs beside a distance to the scan.
+PATCH_M2 = 1e-5  # of skin whose distance to the scan counts once
+# Round by round: farthest match, and what a difference between neighbours costs beside that.
 GATES_M = (0.012, 0.01, 0.008, 0.006, 0.006)
-STIFF = (10.0, 3.0, 1.0, 0.3, 0.1)
+STIFF = (30.0, 10.0, 3.0, 1.0, 0.3)
 NEAR_M = 0.01  # skin so near a joint carries it along
 HOLD = 1e-3  # of a vertex without a match or neighbours with one
 
@@ -28,7 +29,7 @@ def move_onto(warp: Warp, numbers: Array, points: Array, normals: Array) -> tupl
     mesh = warp.hand.mesh
     assert mesh is not None
     start = warp.vertices(numbers)
-    stiff = _laplacian(mesh.faces, len(start))
+    stiff, area = _laplacian(mesh.faces, len(start)), _areas(start, mesh.faces) / PATCH_M2
     inner = np.setdiff1d(mesh.faces[mesh.is_cap], mesh.faces[~mesh.is_cap])  # of the cap
     move = np.zeros_like(start)
     for gate, cost in zip(GATES_M, STIFF, strict=True):
@@ -37,7 +38,7 @@ def move_onto(warp: Warp, numbers: Array, points: Array, normals: Array) -> tupl
         of_skin = ~np.isin(own, inner)
         own, scan = own[of_skin], scan[of_skin]
         normal = normals[scan]
-        share = 1 / np.maximum(np.bincount(own, minlength=len(start))[own], 1)
+        share = (area / np.maximum(np.bincount(own, minlength=len(start)), 1))[own]
         wanted = np.einsum("na,na->n", points[scan] - start[own], normal)
         off = wanted - np.einsum("na,na->n", move[own], normal)
         pull = share / (1 + (off / (gate / 2)) ** 2)
@@ -59,11 +60,16 @@ def _laplacian(faces: NDArray[np.integer], count: int) -> csc_array:
     """Of the edges, for the three coordinates (3 count, 3 count), with a little of 1."""
     edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
     a, b = (np.concatenate([3 * side + k for k in range(3)]) for side in edges.T.astype(np.int64))
-    one = np.ones(len(a))
-    graph = coo_array(
-        (np.concatenate([one, one]), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(3 * count,) * 2
-    )
+    both = (np.concatenate([a, b]), np.concatenate([b, a]))
+    graph = coo_array((np.ones(2 * len(a)), both), shape=(3 * count, 3 * count))
     return (diags_array(graph.sum(axis=1) + HOLD) - graph).tocsc()
+
+
+def _areas(vertices: Array, faces: NDArray[np.integer]) -> Array:
+    """A third of the triangles at each vertex (v,)."""
+    corner = vertices[faces]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 6
+    return np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(vertices))
 
 
 def _out(vertices: Array, faces: NDArray[np.integer]) -> Array:

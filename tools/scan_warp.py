@@ -15,8 +15,8 @@ from palmar.tools.hand_quality import capsules_of
 Array = NDArray[np.float64]
 
 # The numbers of a warp: where and how large the palm is, then for each finger where it begins, how it is turned, bent
-# and stretched. Scales as logarithms; those of phalanges, of thickness and of the palm's sides are over the scale of the
-# whole hand. Metres and radians.
+# and stretched. Scales as logarithms; those of phalanges, of thickness and of the palm's sides are over the scale of
+# the whole hand. Metres and radians.
 TURN, SHIFT, SCALE, PALM = slice(0, 3), slice(3, 6), 6, slice(7, 10)
 OF_FINGERS, PER_FINGER = 10, 15
 ROOT, ABDUCTION, TWIST, FLEXION = slice(0, 3), 3, 4, slice(5, 8)
