@@ -36,8 +36,8 @@ SPACING_M = 3.5e-3  # between the points of the rigged hand that are matched
 LANDMARK_M, JOINT_M = 3e-3, 1.5e-3  # how far off a wrist or fingertip, and a joint, may be
 ALIKE = 0.5  # cosine between normals of a match
 # Farthest match and, in the same round, what turning a normal round by a radian counts as.
-GATES_M = (0.03, 0.025, 0.02, 0.016, 0.013, 0.01, 0.008, 0.007, 0.006, 0.005, 0.005, 0.005)
-KERNEL_M = 1e-3  # beyond it a match pulls less
+GATES_M = (0.03, 0.025, 0.02, 0.016, 0.013, 0.01, 0.008, 0.007, 0.006, 0.005, 0.004, 0.004)
+KERNEL_M = 7e-4  # beyond it a match pulls less
 EVIDENCE = 500.0  # so many independent points are all matches together
 STEP = 1e-6  # of the numbers, for slopes
 FOREARM_M = 0.01  # of it that takes part

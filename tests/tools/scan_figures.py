@@ -2,8 +2,8 @@
 
 `python tests/tools/scan_figures.py [SCANNED] [TO]` takes two rigged hands of one side (the Godot hand, onto the fitted
 WebXR hand), throws away the rig of the first, places the mesh anywhere, gives landmarks 2 mm off, and registers it as a
-mesh and as 30,000 points with 0.5 mm of noise and 1 % of strays, with six landmarks and with all joints given. Truth are
-the rig's joints and the mesh with its skin weights: how far joints are off, and the larger of the 99th
+mesh and as 30,000 points with 0.5 mm of noise and 1 % of strays, with six landmarks and with all joints given. Truth
+are the rig's joints and the mesh with its skin weights: how far joints are off, and the larger of the 99th
 percentiles of protrusion and gap of the fitted hand against the true mesh, beside those of the rigged fit.
 """
 
