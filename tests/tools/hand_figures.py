@@ -2,7 +2,7 @@
 
 `python tests/tools/hand_figures.py [fits] [known] [recordings] [bunny]` prints a table for each name, all four if none.
 
-fits: the rigged hands of the shared data as they are: 99th percentiles and means, seconds of one fit, left against right.
+fits: the rigged hands of the shared data: 99th percentiles and means, seconds of one fit, left against right.
 known: a hand of known capsules with 0.2 mm of noise. recordings: calibrated and imported, fingertips' residuals.
 bunny: a fitted hand, a bunny, a grasp, a run and what a report says of the two true meshes.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from conftest import make_rigged_hand, write_glb
-from test_hand_fit import aligned
+from test_hand_fit import aligned, thickness
 
 from palmar import load_pack, read_run
 from palmar.calibrate import calibrate
@@ -74,12 +74,12 @@ def known(folder: Path) -> None:
     axis, true_axis = (bone / np.linalg.norm(bone, axis=1)[:, None] for bone in bones)
     angle = np.degrees(np.arccos(np.clip(np.einsum("ka,ka->k", axis, true_axis), -1, 1)))
     lengths = [1e3 * np.linalg.norm(np.diff(some.joint_m, axis=1), axis=2) for some in (hand, true)]
-    # At the middle of each phalanx but the thumb's first, which lies in the ball of the thumb.
-    middle = 1e3 * np.abs(radii.mean(axis=1) - true_radii.mean(axis=1))[1:]
-    print("known capsules (targets 0.5 mm, 0.2 mm, 2 degrees): lengths", end=" ")
-    print(
-        f"{np.abs(lengths[0] - lengths[1]).max():.2f} mm, radii {middle.max():.2f} mm, axes {angle.max():.2f} degrees\n"
-    )
+    thick = [
+        np.concatenate([thickness(*found, true_ends, f) for f in range(5)])
+        for found in ((ends, radii), (true_ends, true_radii))
+    ]
+    print(f"known capsules: lengths {np.abs(lengths[0] - lengths[1]).max():.2f} mm (target 0.5), radii", end=" ")
+    print(f"{1e3 * np.abs(thick[0] - thick[1]).max():.2f} mm (0.2), axes {angle.max():.2f} degrees (2)\n")
 
 
 def recordings(folder: Path) -> None:

@@ -54,6 +54,16 @@ def aligned(fitted_hand, true_hand):
     return ends, found[:, 6:], known[:, :6].reshape(15, 2, 3), known[:, 6:]
 
 
+def thickness(ends, radii, true_ends, f):
+    """Along the middle half of each phalanx of a finger: at a joint, what bends best is not what is thickest.
+
+    The thumb's metacarpal lies in the ball of the thumb, where its thickness is not to be seen.
+    """
+    rows = slice(3 * f, 3 * f + 3)
+    line = np.concatenate([a + np.linspace(0.25, 0.75, 9)[:, None] * (b - a) for a, b in true_ends[rows]][f == 0 :])
+    return -np.min([capsule_gap(e, r, line)[0] for e, r in zip(ends[rows], radii[rows], strict=True)], axis=0)
+
+
 def test_known_capsules_come_back(fitted):
     _, hand, _ = fitted
     true = default_hand()
@@ -67,16 +77,7 @@ def test_known_capsules_come_back(fitted):
     angle = np.degrees(np.arccos(np.clip(np.einsum("ka,ka->k", axis, true_axis), -1, 1)))
     assert angle.max() < 2
     for f in range(5):
-        rows = slice(3 * f, 3 * f + 3)
-        # Radii along the middle half of each phalanx: at a joint, what bends best is not what is thickest. The thumb's
-        # metacarpal lies in the ball of the thumb, where its thickness is not to be seen.
-        line = np.concatenate([a + np.linspace(0.25, 0.75, 9)[:, None] * (b - a) for a, b in true_ends[rows]][f == 0 :])
-        thick = [
-            -np.min(
-                [capsule_gap(e, r, line)[0] for e, r in zip(some_ends[rows], some_radii[rows], strict=True)], axis=0
-            )
-            for some_ends, some_radii in ((ends, radii), (true_ends, true_radii))
-        ]
+        thick = [thickness(*found, true_ends, f) for found in ((ends, radii), (true_ends, true_radii))]
         assert np.abs(thick[0] - thick[1]).max() < 2e-4, f
         tips = [
             e[3 * f + 2, 1] + r[3 * f + 2, 1] * a[3 * f + 2]
