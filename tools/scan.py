@@ -59,13 +59,13 @@ def rig_of_scan(path: str | Path, to: str | Path, landmarks: str | Path, units: 
     points, normals = clean_scan(where, _read_points(where, units))
     warp = make_warp(hand)
     numbers = warp_to_landmarks(warp, marks)
-    near = is_skin(numbers, points, normals)
+    near = is_skin(numbers, points)
     if near.sum() < LEAST_POINTS:
         raise BadMesh(
             "E-SCAN", where, f"{near.sum()} points beyond the wrist; the landmarks are of another frame or unit"
         )
     numbers = warp_to_points(warp, marks, numbers, points, normals)
-    near = is_skin(numbers, points, normals)
+    near = is_skin(numbers, points)
     points, normals = points[near], normals[near]
     vertices, chains = move_onto(warp, numbers, points, normals)
     hand_points = points[beyond_wrist(numbers, points) > 0]

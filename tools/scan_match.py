@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from palmar.tools.hand_shape import skin_points
 from palmar.tools.scan_warp import (
     ABDUCTION,
     COUNT,
@@ -28,7 +29,6 @@ from palmar.tools.scan_warp import (
     Warp,
     bounds_of,
 )
-from palmar.tools.surface import spread
 
 Array = NDArray[np.float64]
 
@@ -83,18 +83,17 @@ def warp_to_points(warp: Warp, marks: Marks, numbers: Array, points: Array, norm
     """Point to plane, all phalanges at once, the landmarks held; gates and kernel narrow from round to round."""
     mesh = warp.hand.mesh
     assert mesh is not None
-    face, mix, _ = spread(mesh.vertices_m, mesh.faces, SPACING_M)
-    real = ~mesh.is_cap[face]
-    corners, mix = mesh.faces[face[real]], mix[real]
+    skin = skin_points(mesh, SPACING_M)
+    corners, mix = mesh.faces[skin.face[skin.real]], skin.mix[skin.real]
     weights = np.einsum("nk,nkl->nl", mix, mesh.weights[corners])
     # What a link's map does to a point is linear in the map: a point is these 16 x 4 shares times all maps.
     own = np.einsum("nk,nka->na", mix, mesh.vertices_m[corners])
     shares = np.einsum("nl,nb->nlb", weights, np.column_stack([own, np.ones(len(own))]))
     for gate in GATES_M:
         moved, out = _posed(warp, numbers, corners, mix)
-        skin = np.flatnonzero(is_skin(numbers, points, normals))
-        model, scan = matches(moved, out, points[skin], normals[skin], gate)
-        scan = skin[scan]
+        hand = np.flatnonzero(is_skin(numbers, points))
+        model, scan = matches(moved, out, points[hand], normals[hand], gate)
+        scan = hand[scan]
         normal, kernel = normals[scan], max(gate / 5, KERNEL_M)
         off = np.einsum("na,na->n", moved[model] - points[scan], normal)
         pull = 1 / (kernel * (1 + (off / kernel) ** 2))
@@ -105,7 +104,7 @@ def warp_to_points(warp: Warp, marks: Marks, numbers: Array, points: Array, norm
     return numbers
 
 
-def is_skin(numbers: Array, points: Array, normals: Array) -> NDArray[np.bool_]:
+def is_skin(numbers: Array, points: Array) -> NDArray[np.bool_]:
     """Which points (n,) are a hand's: not the forearm's, and not on what closes the scan at its wrist."""
     turn = Rotation.from_rotvec(numbers[TURN]).as_matrix()
     along, across = beyond_wrist(numbers, points), (points - numbers[SHIFT]) @ turn[:, [0, 2]]

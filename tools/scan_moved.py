@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, diags_array
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import cg
 
 from palmar.tools.scan_match import matches
 from palmar.tools.scan_warp import Warp
@@ -42,18 +42,26 @@ def move_onto(warp: Warp, numbers: Array, points: Array, normals: Array) -> tupl
         wanted = np.einsum("na,na->n", points[scan] - start[own], normal)
         off = wanted - np.einsum("na,na->n", move[own], normal)
         pull = share / (1 + (off / (gate / 2)) ** 2)
-        move = _solve(len(start), own, normal, pull, wanted, cost * stiff)
+        move = _solve(move, own, normal, pull, wanted, cost * stiff)
     chains = warp.links(numbers[None]).chains[0]
     return start + move, chains + _carried(chains, start, move, mesh.weights)
 
 
-def _solve(count: int, own: NDArray[np.intp], normal: Array, pull: Array, wanted: Array, stiff: csc_array) -> Array:
-    """Moves (count, 3) that least pull (normal . move - wanted)^2 + move . stiff move leaves."""
+def _solve(start: Array, own: NDArray[np.intp], normal: Array, pull: Array, wanted: Array, stiff: csc_array) -> Array:
+    """Moves (v, 3) that least pull (normal . move - wanted)^2 + move . stiff move leaves, searched from `start`."""
     row = (3 * own[:, None] + np.arange(3)).ravel()
     each = np.repeat(np.arange(len(own)), 3)
-    plane = coo_array((normal.ravel(), (each, row)), shape=(len(own), 3 * count)).tocsc()
-    equations = plane.T @ diags_array(pull) @ plane + stiff
-    return splu(equations.tocsc()).solve(plane.T @ (pull * wanted)).reshape(count, 3)
+    plane = coo_array((normal.ravel(), (each, row)), shape=(len(own), start.size)).tocsr()
+    equations = (plane.T @ diags_array(pull) @ plane + stiff).tocsr()
+    found, _ = cg(
+        equations,
+        plane.T @ (pull * wanted),
+        start.ravel(),
+        rtol=1e-3,
+        maxiter=300,
+        M=diags_array(1 / equations.diagonal()),
+    )
+    return found.reshape(start.shape)
 
 
 def _laplacian(faces: NDArray[np.integer], count: int) -> csc_array:
@@ -69,7 +77,9 @@ def _areas(vertices: Array, faces: NDArray[np.integer]) -> Array:
     """A third of the triangles at each vertex (v,)."""
     corner = vertices[faces]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 6
-    return np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(vertices))
+    shared = np.zeros(len(vertices))
+    np.add.at(shared, faces, area[:, None])
+    return shared
 
 
 def _out(vertices: Array, faces: NDArray[np.integer]) -> Array:

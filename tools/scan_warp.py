@@ -90,10 +90,9 @@ class Warp:
         across = across / np.linalg.norm(across, axis=2, keepdims=True)
         deep = np.cross(along, across)
         thick, flat = size[..., None] * np.exp(finger[..., THICK]), finger[..., FLAT, None]
-        return sum(
-            scale[..., None, None] * axis[..., :, None] * axis[..., None, :]
-            for scale, axis in ((length, along), (thick * np.exp(flat), across), (thick * np.exp(-flat), deep))
-        )
+        scale = np.stack([length, thick * np.exp(flat), thick * np.exp(-flat)], axis=3)
+        axes = np.stack([along, across, deep], axis=2)
+        return np.einsum("kfjs,fjsa,fjsb->kfjab", scale, axes, axes)
 
     def vertices(self, numbers: Array) -> Array:
         """The mesh's vertices (v, 3) in the scan's frame, of one row of numbers (COUNT,)."""
