@@ -36,7 +36,7 @@ CHAINS = [[f"thumb-{part}" for part in ("metacarpal", "proximal", "distal", "tip
 VOXEL_M = 1.5e-3
 LEAST_POINTS = 2000
 LEAST_OF_PART = 15  # points of a phalanx
-LARGEST_P99_MM = 4.0  # hands of other shapes leave 3, swapped fingers or a mirrored hand 5 and more
+LARGEST_P99_MM = 4.0  # hands of other shapes leave up to 3.2, swapped fingers or a mirrored hand 5 and more
 MM = 1e3
 
 
