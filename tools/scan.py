@@ -8,18 +8,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from palmar.errors import BadMesh, BadPack, PalmarError
 from palmar.files import sha256_of
 from palmar.model import FINGERS, load_pack
+from palmar.skin import HandMesh
 from palmar.tools.gltf_skin import SkinnedMesh
 from palmar.tools.hand_joints import read_joints
 from palmar.tools.hand_quality import PARTS
 from palmar.tools.mesh import METRES_PER_UNIT, read_mesh
 from palmar.tools.rig import NEEDED, Rig, link_of, make_rig, role_of
-from palmar.tools.scan_warp import SCALE, SHIFT, TURN, Warp, make_warp, warp_to_landmarks, warp_to_points
+from palmar.tools.scan_match import Marks, beyond_wrist, is_skin, warp_to_landmarks, warp_to_points
+from palmar.tools.scan_moved import move_onto
+from palmar.tools.scan_warp import SCALE, SHIFT, TURN, Warp, make_warp
 from palmar.tools.solid import make_solid, signed_distance
 from palmar.tools.surface import spread
 
@@ -27,13 +29,14 @@ Array = NDArray[np.float64]
 
 CLOUDS = (".xyz", ".pts", ".pcd")  # and .ply without faces
 LANDMARKS = ("wrist", *(f"{finger}-tip" for finger in FINGERS))
-KNUCKLES = ("thumb-metacarpal", *(f"{finger}-proximal" for finger in FINGERS[1:]))  # may be given
+# What may be given of each finger: joints, which stand as they are, and the tip.
+CHAINS = [[f"thumb-{part}" for part in ("metacarpal", "proximal", "distal", "tip")]] + [
+    [f"{finger}-{part}" for part in ("proximal", "intermediate", "distal", "tip")] for finger in FINGERS[1:]
+]
 VOXEL_M = 1.5e-3
 LEAST_POINTS = 2000
 LEAST_OF_PART = 15  # points of a phalanx
-LARGEST_P99_MM = 5.0
-FOREARM_M = 0.01  # of it that takes part
-REACH_M = 4e-3  # how far the warped surface is moved onto the scan, at most
+LARGEST_P99_MM = 4.0  # hands of other shapes leave up to 3.2, swapped fingers or a mirrored hand 5 and more
 MM = 1e3
 
 
@@ -42,8 +45,9 @@ def rig_of_scan(path: str | Path, to: str | Path, landmarks: str | Path, units: 
 
     path: a mesh, or points alone; landmarks: wrist and fingertips, in its frame and unit (`read_joints`). The surface
     is that of the rigged hand moved onto the scan: it is closed where the scan has holes, and its skin weights are
-    known. Returns the rig and {"to", "to_sha256", "points", "residual_mm": {part: {"p50", "p99", "max"}}}: of the
-    scan's points to the warped hand before its surface was moved. Raises BadMesh, BadPack or PalmarError.
+    known; joints that are given among the landmarks stand. Returns the rig and {"to", "to_sha256", "points",
+    "residual_mm": {part: {"p50", "p99", "max"}}, "left_mm": {"p50", ...}}: of the scan's points to the warped hand
+    before and after its surface was moved. Raises BadMesh, BadPack or PalmarError.
     """
     where, scale = str(path), METRES_PER_UNIT[units]
     hand = load_pack(to).hand
@@ -51,20 +55,35 @@ def rig_of_scan(path: str | Path, to: str | Path, landmarks: str | Path, units: 
         raise BadPack(
             "E-CONF", str(to), "a hand without a mesh; one that `palmar fit-hand` made of a rigged mesh is needed"
         )
-    places = _landmarks(landmarks, scale)
+    marks = _landmarks(landmarks, scale)
     points, normals = clean_scan(where, _read_points(where, units))
     warp = make_warp(hand)
-    numbers = warp_to_landmarks(warp, places[0], places[1:6], places[6:])
-    near = _beyond_wrist(numbers, points) > -FOREARM_M
+    numbers = warp_to_landmarks(warp, marks)
+    near = is_skin(numbers, points)
     if near.sum() < LEAST_POINTS:
         raise BadMesh(
             "E-SCAN", where, f"{near.sum()} points beyond the wrist; the landmarks are of another frame or unit"
         )
+    numbers = warp_to_points(warp, marks, numbers, points, normals)
+    near = is_skin(numbers, points)
     points, normals = points[near], normals[near]
-    numbers = warp_to_points(warp, numbers, points, normals)
-    residual = _residual(where, warp, numbers, points)
-    rig = _rig(where, warp, numbers, _moved_onto(warp, numbers, points, normals), scale)
-    return rig, {"to": Path(to).name, "to_sha256": sha256_of(Path(to)), "points": len(points), "residual_mm": residual}
+    vertices, chains = move_onto(warp, numbers, points, normals)
+    hand_points = points[beyond_wrist(numbers, points) > 0]
+    residual = _residual(where, hand.mesh, warp.vertices(numbers), hand_points)
+    left = _residual(where, hand.mesh, vertices, hand_points)["all"]
+    if left["p99"] > LARGEST_P99_MM:
+        what = f"{left['p99']:.1f} mm (p99) are left to the warped hand; {LARGEST_P99_MM:g} mm are allowed"
+        raise BadMesh("E-SCAN-FIT", where, f"{what}: check landmarks, side and --units")
+    joints = marks.given & (np.arange(4) < 3)
+    chains[joints] = marks.chains[joints]
+    rig = _rig(where, warp, numbers, vertices, chains, scale)
+    return rig, {
+        "to": Path(to).name,
+        "to_sha256": sha256_of(Path(to)),
+        "points": len(points),
+        "residual_mm": residual,
+        "left_mm": left,
+    }
 
 
 def clean_scan(where: str, points: Array) -> tuple[Array, Array]:
@@ -114,27 +133,21 @@ def _is_cloud(path: Path) -> bool:
     return re.search(rb"element\s+face\s+[1-9]", header) is None
 
 
-def _landmarks(path: str | Path, scale: float) -> Array:
-    """Wrist, five fingertips and five knuckles (11, 3) in metres; nan for a knuckle that is not given."""
+def _landmarks(path: str | Path, scale: float) -> Marks:
+    """In metres."""
     roles = {role_of(name)[0]: place for name, place in read_joints(path).items()}
     missing = [name for name in LANDMARKS if name not in roles]
     if missing:
         found = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
         raise BadPack("E-CONF", str(path), f"{found}; needed are {', '.join(LANDMARKS)}")
-    return scale * np.array([roles.get(name, [np.nan] * 3) for name in (*LANDMARKS, *KNUCKLES)])
+    unknown = [np.nan] * 3
+    chains = [[roles.get(name, unknown) for name in chain] for chain in CHAINS]
+    return Marks(scale * np.array(roles["wrist"]), scale * np.array(chains))
 
 
-def _beyond_wrist(numbers: Array, points: Array) -> Array:
-    """How far (n,) points are from the wrist towards the fingers."""
-    return (points - numbers[SHIFT]) @ Rotation.from_rotvec(numbers[TURN]).as_matrix()[:, 1] / np.exp(numbers[SCALE])
-
-
-def _residual(where: str, warp: Warp, numbers: Array, points: Array) -> dict[str, dict[str, float]]:
-    """Distance of the scan's points to the warped mesh by part and of all. Raises BadMesh where it is no fit."""
-    mesh = warp.hand.mesh
-    assert mesh is not None
-    points = points[_beyond_wrist(numbers, points) > 0]
-    distance, _, face = signed_distance(make_solid(warp.vertices(numbers), mesh.faces), points)
+def _residual(where: str, mesh: HandMesh, vertices: Array, points: Array) -> dict[str, dict[str, float]]:
+    """Distance of the scan's points to a warped mesh by part and of all. Raises BadMesh where a part has no points."""
+    distance, _, face = signed_distance(make_solid(vertices, mesh.faces), points)
     distance, link = MM * np.abs(distance), mesh.weights[mesh.faces[face]].sum(axis=1).argmax(axis=1)
     found = {}
     for number, part in enumerate((*PARTS, "all")):
@@ -144,42 +157,14 @@ def _residual(where: str, warp: Warp, numbers: Array, points: Array) -> dict[str
                 "E-SCAN-FIT", where, f"{len(of)} points of {part}; the scan lacks it or its landmarks are wrong"
             )
         found[part] = {"p50": float(np.median(of)), "p99": float(np.quantile(of, 0.99)), "max": float(of.max())}
-    worst = max(found, key=lambda part: found[part]["p99"])
-    if found[worst]["p99"] > LARGEST_P99_MM:
-        what = f"{found[worst]['p99']:.1f} mm (p99) from {worst} to the warped hand; {LARGEST_P99_MM:g} mm is allowed"
-        raise BadMesh("E-SCAN-FIT", where, f"{what}: check landmarks, side and --units")
     return found
 
 
-def _moved_onto(warp: Warp, numbers: Array, points: Array, normals: Array) -> Array:
-    """Vertices (v, 3) of the warped mesh, moved along smooth normals to the scan near them; not where it has holes."""
-    mesh = warp.hand.mesh
-    assert mesh is not None
-    vertices = warp.vertices(numbers)
-    corner = vertices[mesh.faces]
-    out = np.zeros_like(vertices)
-    np.add.at(out, mesh.faces, np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, None])
-    out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
-    distance, number = cKDTree(points).query(vertices, k=8, distance_upper_bound=1.5 * REACH_M)
-    there = np.isfinite(distance)
-    number = np.where(there, number, 0)
-    there &= np.einsum("va,vka->vk", out, normals[number]) > 0.7
-    height = np.einsum("va,vka->vk", out, points[number] - vertices[:, None])
-    move = (height * there).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
-    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
-    for _ in range(4):  # a neighbour's move counts like one's own: noise and seams even out
-        total, count = move.copy(), np.ones(len(move))
-        np.add.at(total, edges[:, 0], move[edges[:, 1]])
-        np.add.at(count, edges[:, 0], 1)
-        move = total / count
-    return vertices + np.clip(move, -REACH_M, REACH_M)[:, None] * out
-
-
-def _rig(where: str, warp: Warp, numbers: Array, vertices: Array, scale: float) -> Rig:
+def _rig(where: str, warp: Warp, numbers: Array, vertices: Array, chains: Array, scale: float) -> Rig:
     """The warped hand as a rigged file would give it; its rim goes down the forearm, to be cut at the wrist."""
     mesh = warp.hand.mesh
     assert mesh is not None
-    _, _, chains, flexion = warp.links(numbers)
+    flexion = warp.links(numbers[None]).flexion[0]
     down = -np.exp(numbers[SCALE]) * Rotation.from_rotvec(numbers[TURN]).as_matrix()[:, 1]
     rim = np.zeros(len(vertices), dtype=bool)
     rim[mesh.faces[mesh.is_cap]] = True

@@ -54,6 +54,16 @@ def aligned(fitted_hand, true_hand):
     return ends, found[:, 6:], known[:, :6].reshape(15, 2, 3), known[:, 6:]
 
 
+def thickness(ends, radii, true_ends, f):
+    """Along the middle half of each phalanx of a finger: at a joint, what bends best is not what is thickest.
+
+    The thumb's metacarpal lies in the ball of the thumb, where its thickness is not to be seen.
+    """
+    rows = slice(3 * f, 3 * f + 3)
+    line = np.concatenate([a + np.linspace(0.25, 0.75, 9)[:, None] * (b - a) for a, b in true_ends[rows]][f == 0 :])
+    return -np.min([capsule_gap(e, r, line)[0] for e, r in zip(ends[rows], radii[rows], strict=True)], axis=0)
+
+
 def test_known_capsules_come_back(fitted):
     _, hand, _ = fitted
     true = default_hand()
@@ -67,16 +77,7 @@ def test_known_capsules_come_back(fitted):
     angle = np.degrees(np.arccos(np.clip(np.einsum("ka,ka->k", axis, true_axis), -1, 1)))
     assert angle.max() < 2
     for f in range(5):
-        rows = slice(3 * f, 3 * f + 3)
-        # Radii along the middle half of each phalanx: at a joint, what bends best is not what is thickest. The thumb's
-        # metacarpal lies in the ball of the thumb, where its thickness is not to be seen.
-        line = np.concatenate([a + np.linspace(0.25, 0.75, 9)[:, None] * (b - a) for a, b in true_ends[rows]][f == 0 :])
-        thick = [
-            -np.min(
-                [capsule_gap(e, r, line)[0] for e, r in zip(some_ends[rows], some_radii[rows], strict=True)], axis=0
-            )
-            for some_ends, some_radii in ((ends, radii), (true_ends, true_radii))
-        ]
+        thick = [thickness(*found, true_ends, f) for found in ((ends, radii), (true_ends, true_radii))]
         assert np.abs(thick[0] - thick[1]).max() < 2e-4, f
         tips = [
             e[3 * f + 2, 1] + r[3 * f + 2, 1] * a[3 * f + 2]
@@ -134,26 +135,49 @@ def test_a_fitted_hand_is_a_hand_to_build(fitted):
     assert again.about == hand.about
 
 
-def test_a_mesh_without_a_skin_is_fitted_to_joints(rigged, request, tmp_path):
+@pytest.fixture
+def coarse(monkeypatch):
+    """A fit that looks at a fifth of the points and at one bent pose: what it does, in seconds."""
+    monkeypatch.setattr("palmar.tools.hand_fit.SPACING_M", 6e-3)
+    monkeypatch.setattr("palmar.tools.hand_fit.SWEEP_DEG", (60.0,))
+    monkeypatch.setattr("palmar.tools.hand_quality.SPACING_M", 3e-3)
+    monkeypatch.setattr("palmar.tools.hand_quality.SWEEP_DEG", (60,))
+
+
+def write_unrigged(folder, rigged):
+    """scan.obj, joints.json and joints.csv of a rigged hand."""
     points = "".join("v {:.7f} {:.7f} {:.7f}\n".format(*vertex) for vertex in rigged["vertices"])
     corners = "".join("f {} {} {}\n".format(*face) for face in rigged["faces"] + 1)
-    (tmp_path / "scan.obj").write_text(points + corners)
+    (folder / "scan.obj").write_text(points + corners)
     places = dict(zip(rigged["names"], rigged["joints"].tolist(), strict=True))
-    (tmp_path / "joints.json").write_text(json.dumps(places))
+    (folder / "joints.json").write_text(json.dumps(places))
     rows = [f"{name},{x},{y},{z}" for name, (x, y, z) in places.items()]
-    (tmp_path / "joints.csv").write_text("\n".join(["name,x,y,z", *rows]))
+    (folder / "joints.csv").write_text("\n".join(["name,x,y,z", *rows]))
+
+
+def test_a_mesh_without_a_skin_is_fitted_to_joints(make_rigged, run, tmp_path, coarse):
+    rigged = make_rigged(default_hand(), edge_m=0.006)
+    write_unrigged(tmp_path, rigged)
     assert read_joints(tmp_path / "joints.csv") == read_joints(tmp_path / "joints.json")
+    code, out, _ = run("fit-hand", "scan.obj", "--joints", "joints.csv", "-o", "scan.pack", "--spheres", "30", "--json")
+    answer, hand, true = json.loads(out), load_pack(tmp_path / "scan.pack").hand, default_hand()
+    assert code == 0 and answer["hand"]["axes"] == "shape" and answer["hand"]["side"] == "right"
+    # The joints are those that were given: their distances are the true ones but for the rounding of the files.
+    lengths = [np.linalg.norm(np.diff(of.joint_m, axis=1), axis=2) for of in (hand, true)]
+    np.testing.assert_allclose(*lengths, rtol=0, atol=1e-6)
+    # 1.0 is the bar for rigged hands. Here the skin weights are guessed, so a seam lies elsewhere, most of all at the
+    # ball of the thumb, and a fifth of the points were looked at: 1.8 is what that came to.
+    assert answer["hand"]["error"]["rest"]["phalanges"]["gap_mm"]["p99"] < 2.5
+
+
+def test_joints_that_are_missing_are_named(rigged, tmp_path):
+    write_unrigged(tmp_path, rigged)
+    places = read_joints(tmp_path / "joints.json")
     del places["ring-tip"]
     (tmp_path / "joints.json").write_text(json.dumps(places))
     with pytest.raises(PalmarError, match="ring-tip is missing"):
         fit_hand(tmp_path / "scan.obj", tmp_path / "no.pack", joints_path=tmp_path / "joints.json")
-    if not request.config.getoption("--all-recordings"):
-        pytest.skip("the fit itself takes 30 s; --all-recordings asks for it")
-    answer = fit_hand(tmp_path / "scan.obj", tmp_path / "scan.pack", joints_path=tmp_path / "joints.csv", spheres=50)
-    assert answer["hand"]["axes"] == "shape" and answer["hand"]["side"] == "right"
-    # The skin weights are guessed here, so a seam lies elsewhere, most of all round the ball of the thumb: half a
-    # millimetre above the bar for rigged hands.
-    assert answer["hand"]["error"]["rest"]["phalanges"]["gap_mm"]["p99"] < 1.5
+    assert not (tmp_path / "no.pack").exists()
 
 
 def test_recorded_hands_are_fitted_without_a_hint(request, tmp_path):
