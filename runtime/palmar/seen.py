@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from palmar.records import Run
 
@@ -40,6 +39,8 @@ def unpack_balls(numbers: list[int]) -> Array:
 
 def beyond(run: Run, tuned: dict[str, Any]) -> Array:
     """(n,) metres: how far outside of what was seen the farthest contact of each step is; 0 inside or without one."""
+    from scipy.spatial import cKDTree
+
     balls = unpack_balls(tuned["seen"])
     step, points = contact_points(run)
     out = np.zeros(len(run.time_s))

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <filesystem>
 #include <random>
 
 #include "crc32.h"
@@ -312,7 +313,10 @@ void McapWriter::flush_file() {
 
 void McapWriter::abandon() {
   if (file_) std::fclose(std::exchange(file_, nullptr));
-  if (place_ == Place::kRenamedOnClose || chunks_ == 0) std::remove(written_path_.c_str());
+  // In place, what has no chunk yet holds nothing; a device such as /dev/full is nobody's to remove.
+  std::error_code unknown;
+  if (place_ == Place::kRenamedOnClose || (chunks_ == 0 && std::filesystem::is_regular_file(written_path_, unknown)))
+    std::remove(written_path_.c_str());
 }
 
 void McapWriter::fail(const char* what) {
