@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,8 +29,9 @@ from palmar.seen import TUNED, TUNED_SCHEMA, pack_balls
 from palmar.tools.lean import balls_over, lean_tree, measured, mode_of, own_error_mm, rest_of, surface_samples
 from palmar.tools.pack import PACKAGES, version_of
 from palmar.tune_beyond import HELD_OUT, changed_traces, outside_rows
-from palmar.tune_cells import Bench, Model, Progress, Trial, try_answer, try_model, workers
+from palmar.tune_cells import Bench, Model, Progress, Trial, try_answer, try_model
 from palmar.tune_search import Search, Stage, parts_left_out, search
+from palmar.workers import workers
 
 TUNE_SCHEMA = "palmar.tune/1"
 RESULTS = {"index.html", "tune.json", "lean.pack", "cells", "made"}
@@ -74,7 +76,7 @@ def tune(
         folder.mkdir(parents=True, exist_ok=True)
     tree = pack.objects[name]
     full = Model(pack_path, len(tree.leaves), {})
-    with workers(asked.jobs) as pool:
+    with workers(asked.jobs) if asked.jobs > 1 else nullcontext() as pool:
         bench = Bench(name, full, out / "cells", pool)
         progress("replaying the full model", 0.0)
         runs = [read_run(bench.full_run(trace)) for trace in traces]

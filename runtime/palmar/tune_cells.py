@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import signal
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -62,27 +59,6 @@ class Trial:
     operations: dict[str, float]  # means over the traces of a step's mean and p99, and the largest of all
     broken: list[Held]
     trace: str = ""  # that broke them
-
-
-@contextmanager
-def workers(jobs: int) -> Iterator[ProcessPoolExecutor | None]:
-    """Processes to judge in; none for one job. Where the block does not end well they end after the cell at hand."""
-    if jobs == 1:
-        yield None
-        return
-    # A fresh process each: a fork of one that has threads may stand still.
-    pool = ProcessPoolExecutor(max_workers=jobs, mp_context=get_context("spawn"), initializer=_finish_first)
-    try:
-        yield pool
-        pool.shutdown()
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-
-
-def _finish_first() -> None:
-    """Ctrl-C goes to every process of a terminal: this one keeps the cell that it is at."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def try_model(
