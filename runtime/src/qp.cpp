@@ -301,9 +301,10 @@ QpResult solve_qp(const QpProblem& problem, const QpRows& rows, double tolerance
         for (int k = j + 1; k < q; ++k) sum -= solver.l[k][j] * r[k];
         r[j] = sum * solver.l[j][j];
       }
-      // Below 1e-10 of its own length the new row is a combination of the active ones: twice the digits that the
-      // factor of S keeps.
-      const bool dependent = curvature <= 1e-10 * own || q == kVariables;
+      // Below 1e-12 of its own length the new row is a combination of the active ones: some thousand roundings. Where
+      // links are wedged between spheres, rows with 1e-11 are still rows of their own, and without them nothing is
+      // feasible.
+      const bool dependent = curvature <= 1e-12 * own || q == kVariables;
 
       double partial = std::numeric_limits<double>::infinity();
       int blocking = -1;

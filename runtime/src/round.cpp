@@ -160,8 +160,15 @@ QpResult Round::programme(const HandPlacement& at, const Configuration& q, const
   work.operations += kProgrammeOperations + kStartOperations * std::uint32_t(held.count);
   const std::uint32_t each = kIterationOperations + std::uint32_t(work.rows.count) / 8;
   const int iterations = std::min(s.qp_iterations, int(work.left() / each));
-  const QpResult result = solve_qp(problem, work.rows, kRowTolerance, iterations, work.violation.data(), held);
+  QpResult result = solve_qp(problem, work.rows, kRowTolerance, iterations, work.violation.data(), held);
   work.operations += each * std::uint32_t(std::min(result.iterations, iterations));
+  // Standing still is always an answer; rows that nearly depend on one another may hide that. From nothing they come in
+  // another order.
+  if (result.status == QpStatus::infeasible && held.count > 0) {
+    const int left = std::min(s.qp_iterations, int(work.left() / each));
+    result = solve_qp(problem, work.rows, kRowTolerance, left, work.violation.data(), QpStart{});
+    work.operations += each * std::uint32_t(std::min(result.iterations, left));
+  }
   work.solve_us += microseconds_since(start);
   return result;
 }
