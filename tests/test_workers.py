@@ -9,7 +9,7 @@ import time
 import pytest
 
 PROGRAM = """
-import os, time
+import os, signal, time
 from palmar import cli
 from palmar.workers import workers
 
@@ -22,6 +22,7 @@ def verb(arguments):
         pool.submit(work).result()
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # the background jobs of a shell are born deaf to it
     cli.run = verb
     cli.main()
 """
