@@ -187,6 +187,7 @@ def glove(content: bytes, *, unplugged: bool = False) -> Callable[[Path], object
                 time.sleep(0.001)
             while wire.heard() and time.monotonic() < end and wire.send(content) and not unplugged:
                 time.sleep(0.005)
+            time.sleep(0.3 if unplugged else 0)  # so that whoever opens it finds it, on a busy machine too
             wire.close()
 
         threading.Thread(target=play, daemon=True).start()
