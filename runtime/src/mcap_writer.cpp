@@ -81,7 +81,7 @@ McapWriter::McapWriter(std::string path, Place place, Opened)
       written_path_(place == Place::kInPlace ? path_ : temporary_beside(path_)),
       place_(place),
       file_(std::fopen(written_path_.c_str(), place == Place::kInPlace ? "wb" : "wbx")) {
-  if (!file_) fail("cannot be created");
+  if (!file_) refuse("cannot be created", errno);  // what stands there is not this writer's
 }
 
 McapWriter::McapWriter(std::string path, Place place) : McapWriter(std::move(path), place, Opened{}) {
@@ -320,9 +320,14 @@ void McapWriter::abandon() {
 }
 
 void McapWriter::fail(const char* what) {
-  const std::string why = std::strerror(errno);
+  const int why = errno;
   abandon();
-  throw Error("E-TRACE-WRITE", path_, std::string(what) + " (" + why + "); its folder must exist and have room");
+  refuse(what, why);
+}
+
+void McapWriter::refuse(const char* what, int why) const {
+  throw Error("E-TRACE-WRITE", path_,
+              std::string(what) + " (" + std::strerror(why) + "); its folder must exist and have room");
 }
 
 }  // namespace palmar

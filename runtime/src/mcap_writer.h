@@ -55,6 +55,7 @@ class McapWriter {
   void flush_file();
   void abandon();
   [[noreturn]] void fail(const char* what);
+  [[noreturn]] void refuse(const char* what, int why) const;
 
   std::string path_, written_path_;
   Place place_;

@@ -268,6 +268,16 @@ void records_or_says_why() {
   }
 }
 
+// What stood under the name of a recording that never began is not its own to take away.
+void what_cannot_be_opened_stays() {
+  store(kOut, "of somebody else");
+  calls_left = 0;
+  CHECK(code_of([] { McapWriter(kOut, McapWriter::Place::kInPlace); }) == "E-TRACE-WRITE");
+  calls_left = -1;
+  CHECK(content(kOut) == "of somebody else");
+  std::filesystem::remove(kOut);
+}
+
 }  // namespace
 
 int main() {
@@ -295,6 +305,7 @@ int main() {
   reads_or_says_why("pack reader", [] { return std::to_string(read_pack(kPack).objects.size()); });
   small = 0;
   records_or_says_why();
+  what_cannot_be_opened_stays();
   std::filesystem::remove_all(kFolder);
   return finish();
 }
