@@ -159,16 +159,16 @@ QpResult Round::programme(const HandPlacement& at, const Configuration& q, const
   const QpStart held = push_out ? QpStart{} : held_by(problem.lower);
   work.operations += kProgrammeOperations + kStartOperations * std::uint32_t(held.count);
   const std::uint32_t each = kIterationOperations + std::uint32_t(work.rows.count) / 8;
-  const int iterations = std::min(s.qp_iterations, int(work.left() / each));
-  QpResult result = solve_qp(problem, work.rows, kRowTolerance, iterations, work.violation.data(), held);
-  work.operations += each * std::uint32_t(std::min(result.iterations, iterations));
+  const auto solve_from = [&](const QpStart& from) {
+    const int most = std::min(s.qp_iterations, int(work.left() / each));
+    const QpResult found = solve_qp(problem, work.rows, kRowTolerance, most, work.violation.data(), from);
+    work.operations += each * std::uint32_t(std::min(found.iterations, most));
+    return found;
+  };
+  QpResult result = solve_from(held);
   // Standing still is always an answer; rows that nearly depend on one another may hide that. From nothing they come in
   // another order.
-  if (result.status == QpStatus::infeasible && held.count > 0) {
-    const int left = std::min(s.qp_iterations, int(work.left() / each));
-    result = solve_qp(problem, work.rows, kRowTolerance, left, work.violation.data(), QpStart{});
-    work.operations += each * std::uint32_t(std::min(result.iterations, left));
-  }
+  if (result.status == QpStatus::infeasible && held.count > 0) result = solve_from({});
   work.solve_us += microseconds_since(start);
   return result;
 }

@@ -1,7 +1,7 @@
 """`palmar recover`: whatever happened to a trace, a sound part of what went in comes out, and the loss is said.
 
 A trace of three samples, each in its own chunk, is cut at every byte and damaged at every bit. The reader itself is
-held to every flip, insertion and missing byte of traces and runs by test_mcap.cpp; `--all-recordings` flips every bit
+held to every flip, insertion and missing byte of traces and runs by test_damage.cpp; `--all-recordings` flips every bit
 here too, where one in seven is enough by default.
 """
 
