@@ -17,10 +17,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_trace import make_trace
 from safetensors.numpy import load_file, save_file
 
 from palmar import _runtime, cli
-from palmar.records import Trace, write_trace
+from palmar.records import write_trace
 from palmar.recover import recover_file
 from palmar.traces.wire import Pty
 
@@ -55,28 +56,9 @@ def make_good(folder: Path) -> None:
     build(["shape:cube"], folder / "good.pack", spheres_csv=folder / "cube.csv")
     (folder / "cube.csv").write_text("\n".join(["x_m,y_m,z_m,radius_m", *rows[1:]]))
     build(["shape:cube"], folder / "other.pack", spheres_csv=folder / "cube.csv")
-    write_trace(folder / "good.mcap", trace())
+    write_trace(folder / "good.mcap", make_trace(1000))
     names = [str(folder / name) for name in ("good.pack", "good.mcap", "good.run.mcap")]
     _runtime.replay(*names, "", {}, {})
-
-
-def trace() -> Trace:
-    n = 1000
-    position = np.zeros((n, 3))
-    position[:, 2] = np.linspace(0.3, 0.2, n)
-    turn = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
-    return Trace(
-        header={"device": "test", "hand": "test", "side": "right"},
-        time_s=np.arange(n) * 1e-3,
-        palm_position_m=position,
-        palm_rotation_wxyz=turn,
-        flexion_rad=np.full((n, 5, 3), 0.3),
-        abduction_rad=np.zeros((n, 5)),
-        tracked=np.ones(n, bool),
-        has_object_pose=np.zeros(n, bool),
-        object_position_m=np.zeros((n, 3)),
-        object_rotation_wxyz=turn,
-    )
 
 
 def content(folder: Path, name: str) -> bytearray:

@@ -142,7 +142,6 @@ QpResult Round::programme(const HandPlacement& at, const Configuration& q, const
     return none;
   }
   const auto start = Clock::now();
-  const Settings& s = scene.settings;
   // Rows that do not fit are left out: whether they were needed is seen at the trial pose. Those of a round's start
   // stay as they are until more are wanted.
   if (push_out || rows_wanted != work.wanted_count) {
@@ -160,14 +159,13 @@ QpResult Round::programme(const HandPlacement& at, const Configuration& q, const
   work.operations += kProgrammeOperations + kStartOperations * std::uint32_t(held.count);
   const std::uint32_t each = kIterationOperations + std::uint32_t(work.rows.count) / 8;
   const auto solve_from = [&](const QpStart& from) {
-    const int most = std::min(s.qp_iterations, int(work.left() / each));
+    const int most = std::min(scene.settings.qp_iterations, int(work.left() / each));
     const QpResult found = solve_qp(problem, work.rows, kRowTolerance, most, work.violation.data(), from);
     work.operations += each * std::uint32_t(std::min(found.iterations, most));
     return found;
   };
   QpResult result = solve_from(held);
-  // Standing still is always an answer; rows that nearly depend on one another may hide that. From nothing they come in
-  // another order.
+  // Standing still is an answer; rows that nearly depend on one another may hide that, in this order or in another.
   if (result.status == QpStatus::infeasible && held.count > 0) result = solve_from({});
   work.solve_us += microseconds_since(start);
   return result;
