@@ -12,11 +12,11 @@ from scipy.spatial import cKDTree
 from palmar.eval.gap import Flags, Mesh
 from palmar.eval.judge import Shape, graphic_poses, mesh_gap, shape_in_object
 from palmar.model import FINGERS, AssetPack
+from palmar.pack_check import PARTS
 from palmar.records import Run
 
 Array = NDArray[np.float64]
 
-PARTS = ("palm", *FINGERS)
 BETWEEN_M = 4e-3  # between the balls that stand for a capsule
 THINNED_M = 5e-4  # places of a ball in one cell of this size are one
 RADII_M = 2.5e-4  # radii are rounded up to multiples of this

@@ -256,6 +256,12 @@ CASES = [
         "show bad.pack",
         "E-PACK-FORMAT",
     ),
+    Case(
+        "K2 lean pack that says of its tuning nothing that can be read",
+        bad_pack(lambda _, manifest: manifest["objects"]["cube"].update(tuned={"schema": "palmar.tuned/1", "seen": 3})),
+        "replay bad.pack good.mcap -o out.run.mcap",
+        "E-PACK-FORMAT",
+    ),
     Case("U1 a port that sends garbage", glove(bytes(range(256))), RECORD, "E-GLOVE-SILENT"),
     Case("U1 a port at another baud rate", glove(b"\xe6\x00\x98\x7e" * 8), RECORD, "E-GLOVE-SILENT"),
     Case("U1 half a line and no more", glove(b"A100B2", once=True), RECORD, "E-GLOVE-SILENT"),

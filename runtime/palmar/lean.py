@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from palmar.model import AssetPack
+from palmar.pack_check import TUNED
 from palmar.records import Run, read_run
-from palmar.seen import TUNED, beyond, outside_text
+from palmar.seen import beyond, outside_text
 
 SOLVER = "progressive"  # that packs are tuned for
 

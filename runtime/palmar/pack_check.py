@@ -35,6 +35,22 @@ HAND_MESH: dict[str, tuple[tuple[int | None, ...], str]] = {
     "weights": ((None, LINKS), "float64"),
     "flexion_rad": ((5, 3), "float64"),
 }
+# Of an object that was tuned (docs/formats.md): what stands in its part of the manifest.
+TUNED = "tuned"
+TUNED_SCHEMA = "palmar.tuned/1"
+TUNED_FIELDS: dict[str, type | tuple[type, ...]] = {
+    "full_sha256": str,
+    "full_spheres": int,
+    "traces": list,
+    "guard_mm": (int, float),
+    "fine_mm": (int, float),
+    "rest_mm": (int, float),
+    "share_seen": (int, float),
+    "left_out": list,
+    "settings": dict,
+    "seen": list,
+}
+PARTS = ("palm", "thumb", "index", "middle", "ring", "little")  # of a hand, that a lean pack may leave out
 # Balls are made to contain what is below them in float32 too; rounding of this check is far below.
 CONTAINED_M = 1e-12
 
@@ -91,6 +107,28 @@ def check_manifest(where: str, manifest: Any) -> None:
             raise BadPack("E-PACK-NAME", f"{where}:objects", found)
         if not isinstance(about, dict) or not isinstance(about.get("levels"), list) or not about["levels"]:
             raise BadPack("E-PACK-FORMAT", f"{where}:{name}", "the manifest names no levels of this object")
+        if TUNED in about:
+            check_tuned(f"{where}:{name}/{TUNED}", about[TUNED])
+
+
+def check_tuned(where: str, tuned: Any) -> None:
+    """Raise BadPack unless what a lean pack says of its tuning has every field. What settings mean the core checks."""
+    schema = tuned.get("schema") if isinstance(tuned, dict) else None
+    if schema != TUNED_SCHEMA:
+        raise BadPack("E-PACK-VERSION", where, f"schema {schema!r}; this version reads {TUNED_SCHEMA!r}")
+    for key, kind in TUNED_FIELDS.items():
+        if not isinstance(tuned.get(key), kind) or isinstance(tuned[key], bool):
+            raise BadPack("E-PACK-FORMAT", f"{where}:{key}", f"{str(tuned.get(key))[:40]!r}; see docs/formats.md")
+    tables = [trace if isinstance(trace, dict) else {} for trace in tuned["traces"]]
+    of_traces = [table.get(key) for table in tables for key in ("name", "sha256")]
+    seen = tuned["seen"]
+    if not all(isinstance(text, str) for text in of_traces):
+        raise BadPack("E-PACK-FORMAT", f"{where}:traces", "a name and a sha256 of each are needed, as texts")
+    for part in tuned["left_out"]:
+        if part not in PARTS:
+            raise BadPack("E-PACK-FORMAT", f"{where}:left_out", f"{str(part)[:40]!r}; there are {', '.join(PARTS)}")
+    if len(seen) % 4 or not all(type(number) is int and abs(number) < 2**31 for number in seen):
+        raise BadPack("E-PACK-FORMAT", f"{where}:seen", "four whole numbers a ball are needed")
 
 
 def check_tensor(where: str, tensor: NDArray[Any], shape: tuple[int | None, ...], dtype: str) -> None:

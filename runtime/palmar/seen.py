@@ -11,8 +11,6 @@ from palmar.records import Run
 
 Array = NDArray[np.float64]
 
-TUNED = "tuned"  # key of the object's part of the manifest
-TUNED_SCHEMA = "palmar.tuned/1"
 UNIT_M = 1e-4  # of the numbers in `seen`
 
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from palmar.model import AssetPack
+from palmar.pack_check import TUNED
 from palmar.records import Run, Trace
 from palmar.replay import count_status
-from palmar.seen import TUNED
 from palmar.terminal import cell, print_fields, print_table
 
 LEVEL_COLUMNS = ["object", "level", "spheres", "protrusion max mm", "p99", "mean", "gap max mm", "p99", "mean"]

@@ -23,9 +23,10 @@ from palmar.eval.tuned import DIFFERENCES, RULES, Held, Values, held
 from palmar.files import nearest, require_file, require_own_folder, sha256_of, stem_of
 from palmar.model import AssetPack, load_pack, save_pack, write_whole
 from palmar.noise import noise_note
+from palmar.pack_check import TUNED, TUNED_SCHEMA
 from palmar.records import read_run, read_trace
 from palmar.replay import machine, object_of, require_side
-from palmar.seen import TUNED, TUNED_SCHEMA, pack_balls
+from palmar.seen import pack_balls
 from palmar.tools.lean import balls_over, lean_tree, measured, mode_of, own_error_mm, rest_of, surface_samples
 from palmar.tools.pack import PACKAGES, version_of
 from palmar.tune_beyond import HELD_OUT, changed_traces, outside_rows
