@@ -31,7 +31,6 @@ from palmar.traces.wire import Pty
 LINE = b"A1000B1000C1000D1000E1000F2048G2048P0\n"
 RECORD_S = 2.0  # on a busy machine a child may not run for half a second
 PATIENCE_S = 120.0
-LARGEST_HEADER = 16 * 1024  # bytes before the first chunk
 
 
 @dataclass
@@ -50,12 +49,11 @@ def report_is_whole(folder: Path) -> bool:
 
 
 def recording_is_whole(path: Path) -> bool:
-    """A recording that was cut off holds whole samples, of which `recover` makes a sound trace, or no chunk yet."""
+    """A recording that was cut off holds whole samples, of which `recover` makes a sound trace."""
     try:
         found = len(read_trace(path).time_s)
-    except BadTrace as error:
-        begun = error.code in ("E-TRACE-EMPTY", "E-TRACE-FORMAT", "E-TRACE-SCHEMA")
-        return begun and path.stat().st_size < LARGEST_HEADER
+    except BadTrace:
+        return False
     again = path.with_name("again.mcap")
     recover_file(path, again)
     sound = read_trace(again)

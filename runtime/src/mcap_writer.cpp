@@ -58,6 +58,13 @@ Buffer texts_by_name(const std::map<std::string, std::string>& values) {
   return all;
 }
 
+// What takes no other file in its place.
+bool is_device(const std::string& path) {
+  std::error_code unknown;
+  const std::filesystem::file_status there = std::filesystem::status(path, unknown);
+  return std::filesystem::is_character_file(there) || std::filesystem::is_fifo(there);
+}
+
 std::string temporary_beside(const std::string& path) {
   std::random_device random;
   char suffix[24];
@@ -78,10 +85,10 @@ std::string mcap::metadata_crc(const std::string& name, const std::map<std::stri
 
 McapWriter::McapWriter(std::string path, Place place, Opened)
     : path_(std::move(path)),
-      written_path_(place == Place::kInPlace ? path_ : temporary_beside(path_)),
+      written_path_(is_device(path_) ? path_ : temporary_beside(path_)),
       place_(place),
-      file_(std::fopen(written_path_.c_str(), place == Place::kInPlace ? "wb" : "wbx")) {
-  if (!file_) refuse("cannot be created", errno);  // what stands there is not this writer's
+      file_(std::fopen(written_path_.c_str(), written_path_ == path_ ? "wb" : "wbx")) {
+  if (!file_) refuse("cannot be created", errno);
 }
 
 McapWriter::McapWriter(std::string path, Place place) : McapWriter(std::move(path), place, Opened{}) {
@@ -228,7 +235,10 @@ void McapWriter::finish_chunk() {
   put_record(chunk_indexes_, kChunkIndex, content);
   ++chunks_;
   chunk_.clear();
-  if (place_ == Place::kInPlace) flush_file();
+  if (place_ == Place::kNamedOnFlush) {
+    flush_file();
+    take_name();
+  }
 }
 
 void McapWriter::flush() {
@@ -292,9 +302,14 @@ void McapWriter::close() {
   write(summary);
 
   std::FILE* file = std::exchange(file_, nullptr);
-  const bool closed = std::fclose(file) == 0;
-  const bool whole = closed && (place_ == Place::kInPlace || std::rename(written_path_.c_str(), path_.c_str()) == 0);
-  if (!whole) fail(closed ? "cannot take its name" : "cannot be written");
+  if (std::fclose(file) != 0) fail("cannot be written");
+  take_name();
+}
+
+void McapWriter::take_name() {
+  if (written_path_ == path_) return;
+  if (std::rename(written_path_.c_str(), path_.c_str()) != 0) fail("cannot take its name");
+  written_path_ = path_;
 }
 
 void McapWriter::write(Bytes bytes) {
@@ -313,10 +328,7 @@ void McapWriter::flush_file() {
 
 void McapWriter::abandon() {
   if (file_) std::fclose(std::exchange(file_, nullptr));
-  // In place, what has no chunk yet holds nothing; a device such as /dev/full is nobody's to remove.
-  std::error_code unknown;
-  if (place_ == Place::kRenamedOnClose || (chunks_ == 0 && std::filesystem::is_regular_file(written_path_, unknown)))
-    std::remove(written_path_.c_str());
+  if (written_path_ != path_) std::remove(written_path_.c_str());
 }
 
 void McapWriter::fail(const char* what) {

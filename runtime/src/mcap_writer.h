@@ -15,13 +15,13 @@ namespace palmar {
 class McapWriter {
  public:
   enum class Place {
-    kRenamedOnClose,  // under a temporary name beside `path` until close(); without close() nothing stays
-    kInPlace,  // under its own name from the start, each chunk flushed: for recorders, where a torn file is worth
-               // having; one without a chunk is not, and is taken away
+    kNamedOnClose,  // under a temporary name beside `path` until close(); without close() nothing stays
+    kNamedOnFlush,  // takes its name with the first chunk, each of which is flushed: for recorders, where a torn file
+                    // is worth having and one without a chunk is not. A device is written where it is
   };
 
   // Every function but the destructor throws Error E-TRACE-WRITE when the disk does not take the bytes.
-  explicit McapWriter(std::string path, Place place = Place::kRenamedOnClose);
+  explicit McapWriter(std::string path, Place place = Place::kNamedOnClose);
   ~McapWriter();
   McapWriter(const McapWriter&) = delete;
   McapWriter& operator=(const McapWriter&) = delete;
@@ -35,7 +35,7 @@ class McapWriter {
                              const std::map<std::string, std::string>& values);
   // Messages of one time always lie in one chunk, so that damage never tears a step from its contacts.
   void add_message(std::uint16_t channel, std::uint64_t log_time_ns, mcap::Bytes payload);
-  // Ends the chunk; of a file in its place it is then with the system, and survives the death of this process.
+  // Ends the chunk; with kNamedOnFlush it is then with the system, and survives the death of this process.
   void flush();
   void close();
 
@@ -53,6 +53,7 @@ class McapWriter {
   void write_data(mcap::Bytes bytes);
   void finish_chunk();
   void flush_file();
+  void take_name();
   void abandon();
   [[noreturn]] void fail(const char* what);
   [[noreturn]] void refuse(const char* what, int why) const;

@@ -56,7 +56,7 @@ void step_back() {
 }  // namespace
 
 Recorder::Recorder(const std::string& path, const Header& header, std::size_t ring_samples)
-    : ring_(checked_size(ring_samples)), writer_(checked_path(path), header, McapWriter::Place::kInPlace, {}) {
+    : ring_(checked_size(ring_samples)), writer_(checked_path(path), header, McapWriter::Place::kNamedOnFlush, {}) {
   writer_.flush();
   thread_ = std::thread([this] {
     step_back();

@@ -226,7 +226,7 @@ void write_trace(const std::string& path, const Trace& trace) {
   check_all(trace.pose_bytes, kPoseBytesType);
   check_all(trace.device_readings, kDeviceReadingType);
 
-  TraceWriter writer(path, trace.header, McapWriter::Place::kRenamedOnClose,
+  TraceWriter writer(path, trace.header, McapWriter::Place::kNamedOnClose,
                      {!trace.device_bytes.empty(), !trace.pose_bytes.empty(), !trace.device_readings.empty()});
   // In order of time; of one time bytes come before what was made of them.
   std::size_t device = 0, pose = 0, reading = 0, sample = 0;

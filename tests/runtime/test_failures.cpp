@@ -272,7 +272,7 @@ void records_or_says_why() {
 void what_cannot_be_opened_stays() {
   store(kOut, "of somebody else");
   calls_left = 0;
-  CHECK(code_of([] { McapWriter(kOut, McapWriter::Place::kInPlace); }) == "E-TRACE-WRITE");
+  CHECK(code_of([] { McapWriter(kOut, McapWriter::Place::kNamedOnFlush); }) == "E-TRACE-WRITE");
   calls_left = -1;
   CHECK(content(kOut) == "of somebody else");
   std::filesystem::remove(kOut);

@@ -133,16 +133,19 @@ void writer_without_close_leaves_nothing() {
   CHECK(code_of([] { McapWriter((kFolder / "none" / "x.mcap").string()); }) == "E-TRACE-WRITE");
   if (std::filesystem::is_character_file("/dev/full"))
     CHECK(code_of([] {
-            McapWriter writer("/dev/full", McapWriter::Place::kInPlace);
+            McapWriter writer("/dev/full", McapWriter::Place::kNamedOnFlush);
             writer.close();
           }) == "E-TRACE-WRITE");
 }
 
 void recorder_killed_loses_under_a_quarter_second() {
   const Trace trace = make_trace(1000, 0.001);
-  McapWriter writer(kPath, McapWriter::Place::kInPlace);
+  std::filesystem::remove(kPath);
+  McapWriter writer(kPath, McapWriter::Place::kNamedOnFlush);
   writer.add_metadata("palmar.trace", trace.header);
   const std::uint16_t channel = writer.add_channel(kSampleType.topic, kSampleType.name, kSampleType.text);
+  writer.flush();
+  CHECK(!std::filesystem::exists(kPath));  // a header is no recording
   CdrEncoder cdr;
   for (const Sample& sample : trace.samples) {
     cdr.start();
