@@ -19,6 +19,7 @@ import numpy as np
 
 from palmar import load_pack, read_run
 from palmar.check import check_scenes
+from palmar.check_case import Asked
 from palmar.eval.case import Reference
 from palmar.eval.metrics import measure
 from palmar.records import STATUS
@@ -89,7 +90,7 @@ def main() -> None:
         what, settings = CURES[cure]
         with tempfile.TemporaryDirectory() as folder:
             report = check_scenes(
-                sorted({*scenes, *MEASURED}), settings=settings, quick=True, out=Path(folder), runs=True
+                sorted({*scenes, *MEASURED}), Asked(settings, quick=True, out=Path(folder), runs=True)
             )
             cells = cost(Path(folder))
         fails = {row["scene"]: said(row) for row in report["scenes"] if row["fails"]}

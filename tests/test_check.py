@@ -105,7 +105,7 @@ def test_commands_to_an_actuator_have_to_reach_its_cap_and_be_the_force_up_to_it
         (tmp_path / "played.toml").write_text(text.replace("metrics", f"actuator = {{ cap_n = {cap_n} }}\nmetrics"))
         code, out, _ = run("check", "played.toml")
         assert code == (1 if said else 0) and (said is None or said in out), out
-    monkeypatch.setattr("palmar.check.Feedback", Wrapping)
+    monkeypatch.setattr("palmar.check_case.Feedback", Wrapping)
     (tmp_path / "played.toml").write_text(text.replace("metrics", "actuator = { cap_n = 1.0 }\nmetrics"))
     code, out, _ = run("check", "played.toml")
     assert code == 1 and "actuator_error value" in out
@@ -121,6 +121,7 @@ def test_the_worst_run_of_a_scene_is_kept_with_its_pack_and_trace(run, tmp_path)
         "near-progressive.mcap",
         "near-progressive.pack",
         "near-progressive.run.mcap",
+        "tallies",
     ]
     assert read_trace(tmp_path / "o" / "near-progressive.mcap").header["scene"] == "near"
 
@@ -128,7 +129,7 @@ def test_the_worst_run_of_a_scene_is_kept_with_its_pack_and_trace(run, tmp_path)
 def test_a_cell_of_the_matrix_opens_the_worst_step_and_solvers_share_the_object(run, tmp_path):
     (tmp_path / "near.toml").write_text(MY_SCENE.format(why="a scene of the <tests> " * 5, z=0.0))
     run("check", "near.toml", "-o", "o", "--solver", "progressive", "--solver", "paper")
-    assert sorted(path.name for path in (tmp_path / "o").iterdir()) == ["cells", "check.json", "index.html"]
+    assert sorted(path.name for path in (tmp_path / "o").iterdir()) == ["cells", "check.json", "index.html", "tallies"]
     names = sorted(path.name.split("-")[0] for path in (tmp_path / "o" / "cells").iterdir())
     assert names == ["hand", "near", "near", "object"]
     page = (tmp_path / "o" / "index.html").read_text()
@@ -144,6 +145,30 @@ def test_a_cell_of_the_matrix_opens_the_worst_step_and_solvers_share_the_object(
         if scene["worst"]["value"] > 0 and scene["worst"]["stat"] == "max":
             assert values[cell["first"]] == pytest.approx(scene["worst"]["value"], rel=1e-6)  # float32
         assert len(np.unique(steps)) == len(steps) and "&lt;tests&gt;" in page
+
+
+def test_a_check_takes_up_what_is_there_and_any_number_of_cores_gives_the_same(run, tmp_path, monkeypatch):
+    for name, z in (("near", 0.0), ("far", -1.0)):
+        (tmp_path / f"{name}.toml").write_text(MY_SCENE.format(why="a scene of the tests " * 5, z=z))
+    asked = ("--solver", "progressive", "--solver", "paper", "--starts", "1")
+    first = run("check", "near.toml", *asked, "-o", "o")[1]
+    assert first.count(" 1 runs") == 2
+    kept = sorted((tmp_path / "o" / "tallies").iterdir())
+    assert len(kept) == 2
+    of_one = run("check", "near.toml", "far.toml", *asked, "-o", "p", "--jobs", "1")
+    of_two = run("check", "near.toml", "far.toml", *asked, "-o", "o", "--jobs", "2")
+    assert of_one[0] == of_two[0] == 1 and of_one[1].replace("p/", "o/") == of_two[1]
+    for name in ("check.json", "index.html"):
+        assert (tmp_path / "o" / name).read_bytes() == (tmp_path / "p" / name).read_bytes()
+    assert len(list((tmp_path / "o" / "tallies").iterdir())) == 4
+    monkeypatch.setattr("palmar.check.check_scene_with", None)  # nothing is replayed again
+    assert run("check", "near.toml", "far.toml", *asked, "-o", "o")[1] == of_two[1]
+
+
+def test_a_mistake_met_by_a_worker_is_one_line(run, tmp_path):
+    (tmp_path / "near.toml").write_text(MY_SCENE.format(why="a scene of the tests " * 5, z=0.0))
+    code, out, errors = run("check", "near.toml", "near.toml", "--jobs", "2", "--solver", "paper", "--solver", "papre")
+    assert code == 2 and len(errors) == 1 and "papre" in errors[0], (out, errors)
 
 
 def test_each_mistake_is_one_line_with_exit_code_2(run, tmp_path):

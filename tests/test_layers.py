@@ -15,6 +15,8 @@ KNOW_ALL = (
         "cli_trace",
         "cli_judge",
         "cli_check",
+        "check_case",
+        "tally",
         "calibrate",
         "importing",
         "recording",

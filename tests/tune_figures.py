@@ -14,11 +14,11 @@ from typing import Any
 
 from recordings import SHARED, listed
 
-from palmar.chart import cores
 from palmar.importing import import_log
 from palmar.tools.pack import build
 from palmar.traces.device import import_file
 from palmar.tune import Asked, tune
+from palmar.workers import cores
 
 TUNED_ON = 10
 

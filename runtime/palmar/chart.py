@@ -10,7 +10,6 @@ import hashlib
 import io
 import json
 import math
-import os
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
@@ -307,8 +306,3 @@ def _read(job: Job, stem: Path) -> Cell:
     times, contacts = read_times(stem)
     place = job.name, job.level, job.spheres, job.solver, job.quality, job.in_use
     return Cell(*place, judged, times, contacts)
-
-
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

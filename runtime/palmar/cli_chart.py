@@ -43,9 +43,10 @@ def chart(
 ) -> None:
     """Speed against accuracy: solvers over levels on the same traces, as a page, figures and CSV. Can be resumed."""
     from palmar import _runtime
-    from palmar.chart import Asked, cores, make_chart
+    from palmar.chart import Asked, make_chart
     from palmar.files import nearest
     from palmar.terminal import print_json, progress_bar
+    from palmar.workers import cores
 
     known = _runtime.solver_names()
     for name in solver or []:

@@ -24,6 +24,8 @@ def check(
         list[str] | None, typer.Option("--set", help="key=value of any setting, over the scene's; may be repeated.")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="The first case of each scene, two starts of it.")] = False,
+    starts: Annotated[int | None, typer.Option(min=1, help="Of each case, at most; all if left out.")] = None,
+    jobs: Annotated[int, typer.Option(min=0, help="Cores to use; 0 for all.")] = 0,
     golden: Annotated[
         Path | None, typer.Option("--golden", help="CSV of expected numbers to compare with, instead of limits.")
     ] = None,
@@ -57,10 +59,11 @@ def check(
     say = (lambda line: None) if json else lambda line: print(line, flush=True)
     with progress_bar(not json) as progress:
         if golden is None:
-            answer = _suite(scenes or [], solver, suite, setting or [], quick, out, runs, progress, say)
+            asked = _asked(setting or [], quick, starts, out, runs)
+            answer = _suite(scenes or [], asked, solver or [], suite, jobs, progress, say)
         else:
-            if quick or setting or runs or out is not None:
-                raise PalmarError("E-USAGE", "--golden", "goes without --quick, --set, --out and --runs")
+            if quick or starts is not None or setting or runs or out is not None:
+                raise PalmarError("E-USAGE", "--golden", "goes without --quick, --starts, --set, --out and --runs")
             answer = _golden(golden, scenes or [], pack, solver or [], _reason(reason, update), progress, say)
     verdicts = of_suite(answer) if golden is None else of_golden(answer)
     if junit is not None:
@@ -74,32 +77,24 @@ def check(
     return 0 if answer["passed"] else FAILED
 
 
+def _asked(settings: list[str], quick: bool, starts: int | None, out: Path | None, runs: bool) -> Any:
+    from palmar.check_case import Asked
+    from palmar.files import require_folder
+
+    folder = None if out is None else require_folder(out)
+    return Asked(parse_pairs("--set", settings), quick=quick, starts=starts, out=folder, runs=runs)
+
+
 def _suite(
-    scenes: list[str],
-    solvers: list[str] | None,
-    suite: str,
-    settings: list[str],
-    quick: bool,
-    out: Path | None,
-    runs: bool,
-    progress: Any,
-    say: Any,
+    scenes: list[str], asked: Any, solvers: list[str], suite: str, jobs: int, progress: Any, say: Any
 ) -> dict[str, Any]:
     from palmar.check import check_scenes
-    from palmar.files import require_folder
+    from palmar.workers import cores
 
     if suite != "stability":
         raise PalmarError("E-USAGE", "--suite", f"{suite!r}; stability is the one there is")
-    return check_scenes(
-        scenes,
-        solvers=solvers or ["progressive"],
-        settings=parse_pairs("--set", settings),
-        quick=quick,
-        out=None if out is None else require_folder(out),
-        runs=runs,
-        progress=progress,
-        say=say,
-    )
+    chosen = solvers or ["progressive"]
+    return check_scenes(scenes, asked, solvers=chosen, jobs=jobs or cores(), progress=progress, say=say)
 
 
 def _golden(

@@ -41,9 +41,9 @@ def tune(
 
     The exit code is 1 if nothing leaner does.
     """
-    from palmar.chart import cores
     from palmar.terminal import print_json, print_table, progress_bar
     from palmar.tune import Asked, tune
+    from palmar.workers import cores
 
     if rest_mm is not None and rest_mm > guard_mm:
         found = f"{rest_mm:g}; up to the guard distance of {guard_mm:g} is allowed, or hands would meet the rest"

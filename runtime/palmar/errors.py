@@ -3,6 +3,8 @@
 A hard moment in a step is not an error; it is the step's status (see `palmar.records.STATUS`).
 """
 
+from __future__ import annotations
+
 
 def one_line(text: str) -> str:
     """The text with all that cannot be printed written out, so that no file can break a line or steer a terminal."""
@@ -22,6 +24,10 @@ class PalmarError(Exception):
         self.code = code
         self.where = where
         self.message = message
+
+    def __reduce__(self) -> tuple[type[PalmarError], tuple[str, str, str]]:
+        # From a worker to the process that waits for it.
+        return type(self), (self.code, self.where, self.message)
 
 
 class BadMesh(PalmarError):

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from palmar.check import ALWAYS, replay_case, save_object
+from palmar.check_case import ALWAYS, replay_case, save_object
 from palmar.errors import BadTrace, PalmarError
 from palmar.eval.compare import answers, asked, first_different, inputs, what_differs
 from palmar.eval.metrics import measure

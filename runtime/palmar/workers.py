@@ -10,6 +10,11 @@ from multiprocessing import active_children, get_context, parent_process
 from threading import Thread
 
 
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @contextmanager
 def workers(count: int) -> Iterator[ProcessPoolExecutor]:
     """A pool of fresh processes; where the block ends by an error or a stop they end at once, their work unfinished."""

@@ -21,7 +21,8 @@ std::uint16_t channel_for(McapWriter& writer, const MessageType& type) {
 
 }  // namespace
 
-DeviceRecording::DeviceRecording(const std::string& path, Header header) : writer_(path, McapWriter::Place::kNamedOnFlush) {
+DeviceRecording::DeviceRecording(const std::string& path, Header header)
+    : writer_(path, McapWriter::Place::kNamedOnFlush) {
   set_schema(header, path, kTraceSchema);
   writer_.add_metadata(kTraceHeaderName, header);
   samples_ = channel_for(writer_, kSampleType);

@@ -166,7 +166,7 @@ def test_a_mesh_without_a_skin_is_fitted_to_joints(make_rigged, run, tmp_path, c
     lengths = [np.linalg.norm(np.diff(of.joint_m, axis=1), axis=2) for of in (hand, true)]
     np.testing.assert_allclose(*lengths, rtol=0, atol=1e-6)
     # 1.0 is the bar for rigged hands. Here the skin weights are guessed, so a seam lies elsewhere, most of all at the
-    # ball of the thumb, and a fifth of the points were looked at: 1.8 is what that came to, and other rounding moves it little.
+    # ball of the thumb, and a fifth of the points were looked at: 1.8 is what that came to; rounding moves it little.
     assert answer["hand"]["error"]["rest"]["phalanges"]["gap_mm"]["p99"] < 2.0
 
 
