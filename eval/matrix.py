@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from palmar.eval.metrics import by_rounding
 from palmar.eval.panels import hard_steps
 from palmar.eval.texts import fill, read
 from palmar.eval.view3d import hand_shape, object_shape, pack_array, poses, three_js
@@ -116,8 +117,11 @@ def build_page(scenes: list[dict[str, Any]], with_moment: set[tuple[str, str]]) 
         why = escape(" ".join(of.get("why", "").split()))
         rows.append(f'<tr><th class="id">{escape(of["id"])}</th><th title="{why}">{escape(name)}</th>{cells}</tr>')
     kept = {solver: [scene["passed"] for scene in scenes if scene["solver"] == solver] for solver in solvers}
+    nearly = {solver: sum(_by_rounding(scene) for scene in scenes if scene["solver"] == solver) for solver in solvers}
     head = "".join(
-        f"<th>{escape(solver)}<small>{sum(kept[solver])} of {len(kept[solver])} hold</small></th>" for solver in solvers
+        f"<th>{escape(solver)}<small>{sum(kept[solver])} of {len(kept[solver])} hold</small>"
+        f"<small>{f'{nearly[solver]} more but for rounding' if nearly[solver] else '&nbsp;'}</small></th>"
+        for solver in solvers
     )
     return fill(
         "matrix.html",
@@ -133,6 +137,11 @@ def build_page(scenes: list[dict[str, Any]], with_moment: set[tuple[str, str]]) 
 def _sentence(kept: dict[str, list[bool]]) -> str:
     parts = [f"{solver} keeps every limit of {sum(of)} of {len(of)} scenes" for solver, of in kept.items()]
     return "; ".join(parts) + "."
+
+
+def _by_rounding(scene: dict[str, Any]) -> bool:
+    """Whether nothing failed but limits of 0, by rounding alone."""
+    return bool(scene["fails"]) and not scene["untouched"] and all(map(by_rounding, scene["fails"].values()))
 
 
 def _cell(scene: dict[str, Any] | None, opens: bool) -> str:
@@ -158,5 +167,5 @@ def _said(scene: dict[str, Any]) -> tuple[str, str, float]:
         return f"{margin:+.1f} dB".replace("-", MINUS), metric, share
     if worst["value"] > (worst["limit"] or 0.0):
         unit = "" if worst["unit"] == "1" else f" {worst['unit']}"
-        return f"{MINUS}∞ dB", f"{metric} {worst['value']:.2g}{unit}", 1.0
+        return f"{MINUS}∞ dB", f"{metric} {worst['value']:.2g}{unit}", 0.1 if _by_rounding(scene) else 1.0
     return "all 0", "limits of 0 kept", 1.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from palmar.records import Run
 Array = NDArray[np.float64]
 Row = dict[str, Any]
 METRICS_SCHEMA = "palmar.metrics/1"
+ROUNDING = 1e-6  # in the unit of a metric whose limit is 0
 
 
 def measure(
@@ -84,10 +84,21 @@ def margin_db(value: float, limit: float | None) -> float | None:
 def worst_margin(rows: list[Row]) -> tuple[float, Row] | None:
     """The stability score: the smallest margin of the limited rows in dB and the row that sets it; None without any.
 
-    Infinite where value or limit is 0: +inf for a value within its limit, -inf for one beyond.
+    Infinite where value or limit is 0: +inf for a value within its limit, -inf for one beyond. A row that is beyond by
+    rounding alone stands for the run only where no other fails.
     """
     limited = [(_margin(row), row) for row in rows if row["limit"] is not None]
-    return min(limited, key=itemgetter(0), default=None)
+    return min(limited, key=lambda pair: standing(*pair), default=None)
+
+
+def by_rounding(row: Row) -> bool:
+    """Whether the value is above a limit of 0 by so little that nobody could feel or see it."""
+    return bool(row["limit"] == 0 and 0 < row["value"] < ROUNDING)
+
+
+def standing(margin: float, row: Row) -> float:
+    """What margins are put in order by: behind all that fail otherwise comes what fails by rounding."""
+    return -1e-9 if by_rounding(row) else margin
 
 
 def _margin(row: Row) -> float:

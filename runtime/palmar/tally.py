@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from palmar.eval.metrics import margin_db, worst_margin
+from palmar.eval.metrics import margin_db, standing, worst_margin
 from palmar.records import Run
 
 FELT_N = 0.05  # a force below it says nothing of a contact
@@ -88,8 +88,10 @@ class Tally:
         if score is None:
             return False
         # Of two margins without bound the larger value is the worse.
-        if self.worst is not None and (score[0], -score[1]["value"]) >= (self.margin_db, -self.worst["value"]):
-            return False
+        if self.worst is not None:
+            so_far = standing(self.margin_db, self.worst), -self.worst["value"]
+            if (standing(*score), -score[1]["value"]) >= so_far:
+                return False
         self.margin_db, self.worst = score[0], {**score[1], **at}
         return True
 

@@ -320,7 +320,11 @@ def test_margin_is_in_decibels_and_the_worst_one_is_named():
     rows = [row("a", 0.1, 1.0), row("b", 0.5, 1.0), row("c", 0.0, 0.0), row("d", 9.0, None)]
     margin, worst = worst_margin(rows)
     assert worst["metric"] == "b" and margin == pytest.approx(6.0206, abs=1e-4)
-    assert worst_margin([*rows, row("e", 1e-9, 0.0)])[0] == -np.inf
+    assert worst_margin([*rows, row("e", 1e-3, 0.0)])[0] == -np.inf
+    # Of what is above 0 by rounding alone: a real failure says more, what holds says less.
+    rounding = row("f", 1e-9, 0.0)
+    assert worst_margin([rounding, row("g", 2.0, 1.0)])[1]["metric"] == "g"
+    assert worst_margin([rounding, *rows]) == (-np.inf, rounding)
 
 
 def test_a_good_run_passes_and_the_verdict_says_what_stands_beside_it(make_pack, make_run):
