@@ -19,7 +19,7 @@ namespace palmar {
 
 class DeviceRecording {
  public:
-  // The file has its own name from the start, and what is older than a fifth of a second survives a killed process.
+  // What is older than a fifth of a second is in the file and survives a killed process.
   // Throws Error E-TRACE-HEADER, E-TRACE-WRITE.
   DeviceRecording(const std::string& path, Header header);
   ~DeviceRecording();

@@ -308,6 +308,11 @@ void McapWriter::close() {
 
 void McapWriter::take_name() {
   if (written_path_ == path_) return;
+  std::error_code unknown;
+  if (place_ == Place::kNamedOnFlush && std::filesystem::exists(path_, unknown)) {
+    errno = EEXIST;
+    fail("cannot take its name");
+  }
   if (std::rename(written_path_.c_str(), path_.c_str()) != 0) fail("cannot take its name");
   written_path_ = path_;
 }

@@ -17,7 +17,8 @@ class McapWriter {
   enum class Place {
     kNamedOnClose,  // under a temporary name beside `path` until close(); without close() nothing stays
     kNamedOnFlush,  // takes its name with the first chunk, each of which is flushed: for recorders, where a torn file
-                    // is worth having and one without a chunk is not. A device is written where it is
+                    // is worth having and one without a chunk is not; never that of another file. A device is
+                    // written where it is
   };
 
   // Every function but the destructor throws Error E-TRACE-WRITE when the disk does not take the bytes.

@@ -155,6 +155,12 @@ void recorder_killed_loses_under_a_quarter_second() {
   const Trace back = read_trace(kPath);  // what is on the disk at this moment
   CHECK(back.loss.unclosed);
   CHECK(back.samples.size() >= 750 && is_part(back.samples, trace.samples));
+
+  McapWriter late(kPath, McapWriter::Place::kNamedOnFlush);  // of a host that was told the same name
+  const std::uint16_t its_channel = late.add_channel(kSampleType.topic, kSampleType.name, kSampleType.text);
+  late.add_message(its_channel, 0, cdr.bytes());
+  CHECK(code_of([&] { late.flush(); }) == "E-TRACE-WRITE");
+  CHECK(read_trace(kPath).samples.size() == back.samples.size());
 }
 
 }  // namespace
