@@ -130,7 +130,7 @@ def build_page(scenes: list[dict[str, Any]], with_moment: set[tuple[str, str]]) 
         rows="\n".join(rows),
         sentence=escape(_sentence(kept)),
         three_js=three_js(),
-        script=read("view.js") + read("matrix.js"),
+        script=read("bodies.js") + read("view.js") + read("matrix.js"),
     )
 
 

@@ -21,7 +21,7 @@ from palmar.eval.view3d import frame_steps, hand_shape, object_shape, pack_array
 from palmar.model import FINGERS
 from palmar.records import Run
 
-SCRIPTS = ("view.js", "charts.js", "page.js")
+SCRIPTS = ("bodies.js", "view.js", "charts.js", "page.js")
 # Beyond these a run's times say more of the machine than of the solver: waiting by work, p99 by p50 of steps alike.
 MOST_WAIT, NOISY_TAIL, LEAST_IDLE = 0.1, 3.0, 100
 HAPTIC_STEPS, SURFACE_POINTS = 40, 4000  # looked at for how deep the haptic hand goes
