@@ -1,9 +1,11 @@
-"""What Palmar stands on: python tests/supply.py lowest > constraints.txt, or licences > docs/licences.md.
+"""What Palmar stands on: python tests/supply.py lowest > pins.txt, licences > docs/licences.md, sbom < ALL > sbom.json.
 
 lowest: the oldest version that each range of pyproject.toml allows, for `make lowest`, which installs and tests them.
 licences: the packages that `pip install palmar` brings, directly and by each other, as they are installed here.
+sbom: of the CycloneDX list of all that is installed here, those packages and what is compiled in; tools are left out.
 """
 
+import json
 import re
 import sys
 import tomllib
@@ -14,7 +16,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 TOP = Path(__file__).resolve().parents[1]
-PROJECT = tomllib.loads((TOP / "pyproject.toml").read_text())["project"]
+TABLES = tomllib.loads((TOP / "pyproject.toml").read_text())
+PROJECT = TABLES["project"]
 # Compiled in: header files alone, nothing of them is installed.
 COMPILED = {"cmeel-eigen": "MPL-2.0", "nlohmann-json": "MIT", "nanobind": "BSD-3-Clause"}
 # Where a package names its licence in prose or not at all.
@@ -22,9 +25,9 @@ KNOWN = {"openexr": "BSD-3-Clause"}
 
 
 def lowest() -> list[str]:
-    """`name==version` of each direct dependency and of the tests'."""
+    """`name==version` of each direct dependency, of the build's and of the tests'."""
     pins = []
-    for text in [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["test"]]:
+    for text in [*TABLES["build-system"]["requires"], *PROJECT["dependencies"], *PROJECT["optional-dependencies"]["test"]]:
         requirement = Requirement(text)
         (bound,) = [each.version for each in requirement.specifier if each.operator == ">="]
         pins.append(f"{requirement.name}=={bound}")
@@ -80,8 +83,23 @@ def licences() -> list[str]:
     ]
 
 
+def sbom() -> list[str]:
+    every = json.load(sys.stdin)
+    kept = {canonicalize_name(name) for name in [*brought(), *COMPILED]}
+    every["components"] = [part for part in every["components"] if canonicalize_name(part["name"]) in kept]
+    if missing := kept - {canonicalize_name(part["name"]) for part in every["components"]}:
+        sys.exit(f"not in the list that was given: {', '.join(sorted(missing))}")
+    refs = {part["bom-ref"] for part in [*every["components"], every["metadata"]["component"]]}
+    every["dependencies"] = [
+        {"ref": row["ref"], "dependsOn": [ref for ref in row.get("dependsOn", []) if ref in refs]}
+        for row in every["dependencies"]
+        if row["ref"] in refs
+    ]
+    return [json.dumps(every, indent=2)]
+
+
 if __name__ == "__main__":
-    kinds = {"lowest": lowest, "licences": licences}
+    kinds = {"lowest": lowest, "licences": licences, "sbom": sbom}
     if len(sys.argv) != 2 or not re.fullmatch("|".join(kinds), sys.argv[1]):
         sys.exit(__doc__)
     print("\n".join(kinds[sys.argv[1]]()))
