@@ -252,6 +252,7 @@ std::vector<double> SphereUnion::radii_to_cover(const std::vector<Vec3>& vertice
                                                 const std::vector<std::array<std::int32_t, 3>>& faces,
                                                 double finest) const {
   std::vector<double> radii;
+  radii.reserve(balls_.size());
   for (const Ball& ball : balls_) radii.push_back(ball.radius);
   if (balls_.empty()) return radii;
   std::vector<std::array<Vec3, 3>> open;

@@ -55,6 +55,7 @@ TriangleTree::TriangleTree(const std::vector<Vec3>& vertices, const std::vector<
   place_.resize(face_.size());
   for (std::size_t at = 0; at < face_.size(); ++at) place_[face_[at]] = std::int32_t(at);
   std::vector<Triangle> sorted;
+  sorted.reserve(face_.size());
   for (const std::int32_t face : face_) sorted.push_back(triangles_[face]);
   triangles_ = std::move(sorted);
   size_ = (nodes_[0].high - nodes_[0].low).maxCoeff();
