@@ -66,7 +66,7 @@ void DeviceRecording::add_pose_bytes(const DeviceBytes& pose) {
 
 void DeviceRecording::close(const Header& end) {
   stop();
-  if (failed_) throw *failed_;
+  if (failed_) std::rethrow_exception(failed_);
   writer_.add_metadata(kTraceEndName, end);
   writer_.close();
 }
@@ -79,7 +79,7 @@ std::uint64_t DeviceRecording::dropped() const {
 void DeviceRecording::push(std::uint16_t channel, double time_s) {
   const auto payload = cdr_.bytes();
   const std::lock_guard lock(mutex_);
-  if (failed_) throw *failed_;
+  if (failed_) std::rethrow_exception(failed_);
   if (waiting_bytes_ + payload.size() > kWaitingMost) {
     ++dropped_;
     return;
@@ -102,9 +102,9 @@ void DeviceRecording::write_until_stopped() {
       for (const Message& message : messages)
         writer_.add_message(message.channel, message.log_time_ns, message.payload);
       writer_.flush();
-    } catch (const Error& error) {
+    } catch (...) {
       const std::lock_guard lock(mutex_);
-      failed_ = error;
+      failed_ = std::current_exception();
       return;
     }
     messages.clear();

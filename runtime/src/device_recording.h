@@ -4,14 +4,13 @@
 
 #include <chrono>
 #include <condition_variable>
+#include <exception>
 #include <mutex>
-#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
 
 #include "cdr.h"
-#include "error.h"
 #include "mcap_writer.h"
 #include "records.h"
 
@@ -26,7 +25,8 @@ class DeviceRecording {
   DeviceRecording(const DeviceRecording&) = delete;
   DeviceRecording& operator=(const DeviceRecording&) = delete;
 
-  // Values have to be storable and times of samples to rise. All throw Error E-TRACE-WRITE once the disk took no more.
+  // Values have to be storable and times of samples to rise. All throw once the disk took no more (Error E-TRACE-WRITE)
+  // or memory was gone (std::bad_alloc).
   void add(const Sample& sample);
   void add(const DeviceReading& reading);
   void add_device_bytes(const DeviceBytes& device);
@@ -57,7 +57,7 @@ class DeviceRecording {
   std::size_t waiting_bytes_ = 0;
   std::uint64_t dropped_ = 0;
   bool stopping_ = false;
-  std::optional<Error> failed_;
+  std::exception_ptr failed_;
   std::thread thread_;
 };
 

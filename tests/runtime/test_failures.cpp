@@ -13,11 +13,12 @@
 #include <fstream>
 #include <functional>
 #include <iterator>
-#include <nlohmann/json.hpp>
 #include <set>
 
 #include "check.h"
+#include "device_recording.h"
 #include "error.h"
+#include "made_pack.h"
 #include "pack_file.h"
 #include "recorder.h"
 #include "replay.h"
@@ -132,37 +133,6 @@ Trace make_trace(std::size_t count) {
   return trace;
 }
 
-// A pack of one sphere and the plainest hand, as another tool would write it.
-void make_pack() {
-  nlohmann::json header;
-  std::string data;
-  const auto add = [&](const std::string& name, std::vector<std::size_t> shape, std::vector<double> pattern) {
-    std::size_t count = 1;
-    for (const std::size_t n : shape) count *= n;
-    const std::size_t start = data.size();
-    for (std::size_t i = 0; i < count; ++i)
-      data.append(reinterpret_cast<const char*>(&pattern[i % pattern.size()]), sizeof(double));
-    header[name] = {{"dtype", "F64"}, {"shape", shape}, {"data_offsets", {start, data.size()}}};
-  };
-  add("hand/palm_spheres_m", {1, 4}, {0, 0, 0, 0.01});
-  add("hand/joint_m", {5, 3, 3}, {0, 0.03, 0});
-  add("hand/flexion_axis", {5, 3, 3}, {1, 0, 0});
-  add("hand/abduction_axis", {5, 3}, {0, 0, 1});
-  add("hand/phalanx_m", {5, 3, 2, 3}, {0, 0.03, 0, 0, 0.06, 0});
-  add("hand/phalanx_radius_m", {5, 3, 2}, {0.008});
-  add("hand/flexion_limit_rad", {5, 3, 2}, {0, 1.5});
-  add("hand/abduction_limit_rad", {5, 2}, {-0.3, 0.3});
-  add("hand/joint_stiffness_n_m_per_rad", {5, 3}, {1});
-  add("hand/palm_stiffness_n_per_m", {1}, {500});
-  add("hand/palm_rotation_stiffness_n_m_per_rad", {1}, {2});
-  add("object/ball/level_0/spheres_m", {1, 4}, {0, 0, 0, 0.02});
-  const nlohmann::json manifest = {{"schema", "palmar.pack/2"}, {"objects", {{"ball", {{"levels", {{}}}}}}}};
-  header["__metadata__"]["palmar"] = manifest.dump();
-  const std::string text = header.dump();
-  const std::uint64_t size = text.size();
-  store(kPack, std::string(reinterpret_cast<const char*>(&size), 8) + text + data);
-}
-
 // Fails `work` at each place where `left` can. What it writes is `out`, "" for nothing. Gives how many places there
 // are.
 long fail_everywhere(std::atomic<long>& left, const std::string& out, const std::function<void()>& work) {
@@ -268,6 +238,44 @@ void records_or_says_why() {
   }
 }
 
+// Nor does a device's recording end its process: the thread that writes hands over what it met, and what has the name
+// can be read.
+void records_a_device_or_says_why() {
+  const Trace trace = make_trace(40);
+  for (auto* left : {&memory_left, &calls_left}) {
+    const std::set<std::string> before = names();
+    const std::ptrdiff_t open = open_files();
+    std::size_t added = 0;
+    const std::function<void()> record = [&] {
+      added = 0;
+      DeviceRecording recording(kOut, trace.header);
+      for (std::size_t i = 0; i < trace.samples.size(); ++i) {
+        recording.add_device_bytes(trace.device_bytes[i]), ++added;
+        recording.add(trace.samples[i]), ++added;
+      }
+      recording.close({{"recorded", "to its end"}});
+    };
+    for (long good = 0;; ++good) {
+      *left = good;
+      const std::string code = code_of(record);
+      const bool reached = *left < 0;
+      *left = -1;
+      CHECK(code.empty() != reached);
+      CHECK(code.empty() || code == "memory" || code == "E-TRACE-WRITE");
+      CHECK(open_files() == open);
+      const std::size_t kept = names() == before ? 0 : read_mcap(kOut).messages.size();
+      CHECK(kept <= added && (names() == before || kept > 0));
+      if (code.empty()) CHECK(kept == 2 * trace.samples.size());
+      if (code.empty()) CHECK(read_trace(kOut).header.at("recorded") == "to its end");
+      std::filesystem::remove(kOut);
+      if (!reached || checks_failed > 20) {
+        std::printf("device: fails at each of %ld %s\n", good, left == &memory_left ? "allocations" : "calls");
+        break;
+      }
+    }
+  }
+}
+
 // What stood under the name of a recording that never began is not its own to take away.
 void what_cannot_be_opened_stays() {
   store(kOut, "of somebody else");
@@ -285,7 +293,7 @@ int main() {
   std::filesystem::create_directories(kFolder);
   const Trace trace = make_trace(40);
   write_trace(kTrace, trace);
-  make_pack();
+  store(kPack, made::pack_bytes());
   replay(kPack, kTrace, kRun, "ball", {}, {}, {});
 
   writes_whole_or_not_at_all("trace", content(kTrace), [&] { write_trace(kOut, trace); });
@@ -305,6 +313,7 @@ int main() {
   reads_or_says_why("pack reader", [] { return std::to_string(read_pack(kPack).objects.size()); });
   small = 0;
   records_or_says_why();
+  records_a_device_or_says_why();
   what_cannot_be_opened_stays();
   std::filesystem::remove_all(kFolder);
   return finish();
