@@ -25,10 +25,11 @@ inline SineCosine sine_cosine(double x) {
   const double r = ((x - k * first) - k * second) - k * third;
   // Taylor's series: what is left out is below 1e-17 at pi/4. In pairs, since each product waits for the one before.
   const double z = r * r, z2 = z * z, z4 = z2 * z2;
-  const double s = (-1.0 / 6 + z / 120) + z2 * (-1.0 / 5040 + z / 362880) +
-                   z4 * ((-1.0 / 39916800 + z / 6227020800) + z2 * (-1.0 / 1307674368000 + z / 355687428096000));
-  const double c = (1.0 / 24 - z / 720) + z2 * (1.0 / 40320 - z / 3628800) +
-                   z4 * ((1.0 / 479001600 - z / 87178291200) + z2 / 20922789888000);
+  const double s =
+      (-1.0 / 6 + (1.0 / 120) * z) + z2 * (-1.0 / 5040 + (1.0 / 362880) * z) +
+      z4 * ((-1.0 / 39916800 + (1.0 / 6227020800) * z) + z2 * (-1.0 / 1307674368000 + (1.0 / 355687428096000) * z));
+  const double c = (1.0 / 24 - (1.0 / 720) * z) + z2 * (1.0 / 40320 - (1.0 / 3628800) * z) +
+                   z4 * ((1.0 / 479001600 - (1.0 / 87178291200) * z) + (1.0 / 20922789888000) * z2);
   const double sine = r + r * z * s, cosine = 1 - (0.5 * z - z2 * c);
   switch (static_cast<int>(k) & 3) {
     case 0:
@@ -60,7 +61,8 @@ inline double arc_tangent(double y, double x) {
   // atan t = atan a + atan u, with a the nearest eighth and |u| at most 1/16.
   const int k = static_cast<int>(8 * t + 0.5);
   const double a = 0.125 * k, u = (t - a) / (1 + t * a), w = u * u, w2 = w * w;
-  const double series = (-1.0 / 3 + w / 5) + w2 * ((-1.0 / 7 + w / 9) + w2 * (-1.0 / 11 + w / 13));
+  const double series =
+      (-1.0 / 3 + (1.0 / 5) * w) + w2 * ((-1.0 / 7 + (1.0 / 9) * w) + w2 * (-1.0 / 11 + (1.0 / 13) * w));
   const double flat = of_eighths[k] + (u + u * w * series);
   const double acute = steep ? std::numbers::pi / 2 - flat : flat;
   return x < 0 ? std::numbers::pi - acute : acute;

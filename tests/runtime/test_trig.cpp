@@ -42,13 +42,13 @@ int main() {
     arc_off = std::max(arc_off, units(arc, std::atan2(static_cast<long double>(up), static_cast<long double>(across))));
     for (const double value : {sine, cosine, arc}) mix(value);
   }
-  std::printf("off by at most %.2f, %.2f, %.2f units in the last place; %.2f at 1e5 rad\n", sine_off, cosine_off,
-              arc_off, far_off);
+  std::printf("off by at most %.2f, %.2f, %.2f units in the last place; %.2f at 1e5 rad; hash %016llx\n", sine_off,
+              cosine_off, arc_off, far_off, static_cast<unsigned long long>(hash));
   // Three roundings count: of what is left of x, of the series and of the last sum; with many turns the first is
   // larger.
   CHECK(sine_off < 2 && cosine_off < 2 && arc_off < 2 && far_off < 3);
   // By any compiler on any machine with IEEE numbers.
-  CHECK(hash == 0x0ff92c6767396995ull);
+  CHECK(hash == 0x503c176a3d1eed0eull);
 
   CHECK(sine_cosine(0).sine == 0 && sine_cosine(0).cosine == 1);
   CHECK(arc_tangent(0, 1) == 0 && arc_tangent(0, -1) == std::numbers::pi && arc_tangent(1, 0) == std::numbers::pi / 2);
