@@ -1,4 +1,4 @@
-# Two commands: `make demo` and `make test`; `make bench`, `make soak`, `make fuzz`, `make fuzz-readers` and `make coverage` measure. Each sets up all that it needs, in .venv and build/,
+# Two commands: `make demo` and `make test`; `make bench`, `make soak`, `make fuzz`, `make fuzz-readers`, `make sanitize` and `make coverage` measure. Each sets up all that it needs, in .venv and build/,
 # with nothing on the machine but Python 3.11 (with its headers), make and a C++20 compiler. `make PYTHON=python3.12 test` takes
 # another Python.
 
@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 CORE := $(wildcard runtime/CMakeLists.txt runtime/*.in runtime/src/* runtime/include/palmar/*)
 MODULES := $(sort $(wildcard runtime/palmar/*.py tools/*.py traces/*.py eval/*.py))
 
-.PHONY: demo test fuzz fuzz-readers bench programs lint tidy licences sbom lowest wheels coverage coverage-core coverage-python soak format clean names
+.PHONY: demo test fuzz fuzz-readers sanitize bench programs lint tidy licences sbom lowest wheels coverage coverage-core coverage-python soak format clean names
 
 demo: .venv/installed
 	@echo "== demo: built-in objects, a scripted grasp, replay, report"
@@ -42,6 +42,13 @@ fuzz-readers: .venv/installed
 	@$(BIN)/cmake --build build/fuzz --target $(addprefix fuzz_,$(FUZZERS)) -- --quiet
 	@$(foreach name,$(FUZZERS),mkdir -p build/fuzz/$(name) && build/fuzz/fuzz_$(name) -max_total_time=$(SECONDS) -max_len=$(LONGEST_$(name)) \
 	  -rss_limit_mb=2048 -print_final_stats=1 -artifact_prefix=build/fuzz/$(name)- build/fuzz/$(name) tests/fuzz/saved/$(name) &&) true
+
+# The C++ tests under checks of memory and of undefined behaviour (address), then under a detector of races (thread).
+SANITIZE ?= address thread
+sanitize: .venv/installed
+	@$(foreach checks,$(SANITIZE),PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/$(checks) -G Ninja -DPALMAR_TESTS=ON -DPALMAR_SANITIZE=$(checks) -DCMAKE_BUILD_TYPE=Plain \
+	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null && \
+	  $(BIN)/cmake --build build/$(checks) -- --quiet && $(BIN)/ctest --test-dir build/$(checks) --output-on-failure &&) true
 
 # What a step costs. `make bench BENCH='--scene ears --set iterations=2'`; more arguments stand at the top of its source.
 BENCH ?=

@@ -5,6 +5,8 @@
 #include <array>
 #include <cmath>
 
+#include "trig.h"
+
 namespace palmar {
 
 using Vec3 = Eigen::Vector3d;
@@ -18,7 +20,8 @@ inline std::array<double, 4> to_array(const Quat& q) { return {q.w(), q.x(), q.y
 
 // Rotation by `angle` about a unit axis (Rodrigues).
 inline Mat3 rotation_about(const Vec3& axis, double angle) {
-  const double c = std::cos(angle), s = std::sin(angle), t = 1.0 - c;
+  const auto [s, c] = sine_cosine(angle);
+  const double t = 1.0 - c;
   const double x = axis.x(), y = axis.y(), z = axis.z();
   Mat3 m;
   m << t * x * x + c, t * x * y - s * z, t * x * z + s * y,  //
@@ -30,9 +33,10 @@ inline Mat3 rotation_about(const Vec3& axis, double angle) {
 // The rotation by the vector's length about its direction.
 inline Quat rotation_exp(const Vec3& v) {
   const double half = 0.5 * v.norm();
+  const auto [sine, cosine] = sine_cosine(half);
   // sin(h)/h to fourth order near 0, where the quotient loses its digits.
-  const double k = half < 1e-4 ? 0.5 * (1.0 - half * half / 6.0) : 0.5 * std::sin(half) / half;
-  return {std::cos(half), k * v.x(), k * v.y(), k * v.z()};
+  const double k = half < 1e-4 ? 0.5 * (1.0 - half * half / 6.0) : 0.5 * sine / half;
+  return {cosine, k * v.x(), k * v.y(), k * v.z()};
 }
 
 // The shortest rotation vector of a unit quaternion, length in [0, pi].
@@ -40,7 +44,7 @@ inline Vec3 rotation_log(const Quat& q) {
   const double sign = q.w() < 0 ? -1.0 : 1.0;
   const Vec3 v = sign * q.vec();
   const double s = v.norm(), w = sign * q.w();
-  const double k = s < 1e-6 ? 2.0 / w : 2.0 * std::atan2(s, w) / s;
+  const double k = s < 1e-6 ? 2.0 / w : 2.0 * arc_tangent(s, w) / s;
   return k * v;
 }
 

@@ -51,7 +51,8 @@ bool Round::bend(const Change& way, Metric& metric, Change& wish) {
   const double angle = turn.norm();
   if (angle > 1e-6) {
     const Vec3 axis = turn / angle;
-    const double flat = weight[3] * (1.0 - 0.5 * angle / std::tan(0.5 * angle));
+    const auto [sine, cosine] = sine_cosine(0.5 * angle);
+    const double flat = weight[3] * (1.0 - 0.5 * angle * cosine / sine);
     for (int i = 0; i < 3; ++i)
       for (int j = 0; j <= i; ++j) bent.palm[3 + i][3 + j] -= flat * ((i == j) - axis[i] * axis[j]);
   }

@@ -39,7 +39,8 @@ Configuration opened(const HandModel& hand, Configuration q) {
 
 // `from` turned towards `to` about the centre by at most `angle`.
 Vec3 turned(const Vec3& from, const Vec3& to, double angle) {
-  const double cosine = std::clamp(from.dot(to), -1.0, 1.0), between = std::acos(cosine);
+  const double cosine = std::clamp(from.dot(to), -1.0, 1.0);
+  const double between = arc_tangent(std::sqrt((1 - cosine) * (1 + cosine)), cosine);
   if (between <= angle) return to;
   Vec3 axis = from.cross(to);
   // Opposite sides: every way round is as long.

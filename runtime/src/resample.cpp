@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "error.h"
+#include "trig.h"
 
 namespace palmar {
 namespace {
@@ -84,11 +85,11 @@ Quaternion slerp(const Quaternion& from, const Quaternion& to, double u) {
     apart += (b[i] - a[i]) * (b[i] - a[i]);
     together += (b[i] + a[i]) * (b[i] + a[i]);
   }
-  const double angle = 2 * std::atan2(std::sqrt(apart), std::sqrt(together));
+  const double angle = 2 * arc_tangent(std::sqrt(apart), std::sqrt(together));
   // Below 1e-7 rad the sine is the angle to the last bits, and 0 / 0 is near.
   const bool tiny = angle < 1e-7;
-  const double wa = tiny ? 1 - u : std::sin((1 - u) * angle) / std::sin(angle);
-  const double wb = tiny ? u : std::sin(u * angle) / std::sin(angle);
+  const double wa = tiny ? 1 - u : sine_cosine((1 - u) * angle).sine / sine_cosine(angle).sine;
+  const double wb = tiny ? u : sine_cosine(u * angle).sine / sine_cosine(angle).sine;
   Quaternion q;
   for (int i = 0; i < 4; ++i) q[i] = wa * a[i] + wb * b[i];
   return unit(q);

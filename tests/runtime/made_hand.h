@@ -72,8 +72,9 @@ inline HandModel reference_hand() {
 inline std::vector<Sphere> ball(int count, double radius, double leaf) {
   std::vector<Sphere> spheres;
   for (int i = 0; i < count; ++i) {
-    const double z = 1 - 2 * (i + 0.5) / count, turn = 2.399963229728653 * i, r = std::sqrt(1 - z * z);
-    spheres.push_back({(radius - leaf) * Vec3(r * std::cos(turn), r * std::sin(turn), z), leaf});
+    const double z = 1 - 2 * (i + 0.5) / count, r = std::sqrt(1 - z * z);
+    const SineCosine turned = sine_cosine(2.399963229728653 * i);
+    spheres.push_back({(radius - leaf) * Vec3(r * turned.cosine, r * turned.sine, z), leaf});
   }
   return spheres;
 }

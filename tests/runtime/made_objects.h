@@ -25,20 +25,20 @@ struct Patch {
   // Point i of n, evenly spread: a Fibonacci lattice over the square.
   Vec3 point(int i, int n) const {
     const double a = (i + 0.5) / n, b = i * kGoldenShare - std::floor(i * kGoldenShare);
-    const double turn = kGoldenTurn * i;
+    const SineCosine turned = sine_cosine(kGoldenTurn * i);
     switch (kind) {
       case rectangle:
         return center + (2 * a - 1) * u + (2 * b - 1) * v - inset * normal;
       case disc:
-        return center + std::sqrt(a) * (std::cos(turn) * u + std::sin(turn) * v) - inset * normal;
+        return center + std::sqrt(a) * (turned.cosine * u + turned.sine * v) - inset * normal;
       case side: {
         const Vec3 w = v.normalized().cross(u.normalized());
-        return center + (2 * a - 1) * v + (radius - inset) * (std::cos(turn) * u.normalized() + std::sin(turn) * w);
+        return center + (2 * a - 1) * v + (radius - inset) * (turned.cosine * u.normalized() + turned.sine * w);
       }
       default: {
         const double z = kind == cap ? a : 1 - 2 * a, r = std::sqrt(1 - z * z);
         const Vec3 x = normal.unitOrthogonal(), y = normal.cross(x);
-        return center + (radius - inset) * (z * normal + r * std::cos(turn) * x + r * std::sin(turn) * y);
+        return center + (radius - inset) * (z * normal + r * turned.cosine * x + r * turned.sine * y);
       }
     }
   }

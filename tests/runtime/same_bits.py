@@ -3,7 +3,8 @@
 python tests/runtime/same_bits.py [--all] [--only "c++ -O3 -march=x86-64-v3"]... [SCENE...]
 
 Builds the library with each and compares what `hash_step` (each solver, wild motions, three objects) and `hash_runs`
-(scenes as files, in 1, 2, 4 and 8 threads at once, so each fifteen times) say. Prints a table of Markdown; exit code 1
+(scenes as files, in 1, 2, 4 and 8 threads at once, so each fifteen times) say, here and with the C library of an old
+machine. Prints a table of Markdown; exit code 1
 where two differ. Builds stay under build/same_bits_*. Twelve builds, or twenty with --all: half an hour of a processor.
 """
 
@@ -26,6 +27,9 @@ COMPILERS = [name for name in ("c++", "clang++", "clang++-19") if shutil.which(n
 # What is optimised, and for which machine all of it is compiled: not the wide loops alone, which choose by themselves.
 LEVELS = ("-O3", "-O0", "-O2", "-O3 -DNDEBUG")
 MACHINES = ("-march=x86-64-v3", "-march=x86-64-v4")  # AVX2, AVX-512
+# The C library takes other functions on a machine without these, and so do its sines; glibc lets a process ask for it.
+OLD_MACHINE = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-AVX2,-FMA4,-AVX"}
+REPEATS = ({}, {}, OLD_MACHINE)
 THREADS = (1, 2, 4, 8)
 UNOPTIMISED_THREADS = (1, 2)  # it takes thirty times as long
 SCENES = (
@@ -78,8 +82,9 @@ def name_of(compiler: str) -> str:
     return said_by(compiler, "--version").splitlines()[0]
 
 
-def said_by(*command: str | Path) -> str:
-    return subprocess.run(command, capture_output=True, check=True, text=True).stdout
+def said_by(*command: str | Path, environment: dict[str, str] | None = None) -> str:
+    done = subprocess.run(command, env=os.environ | (environment or {}), capture_output=True, check=True, text=True)
+    return done.stdout
 
 
 def digest(text: str) -> str:
@@ -101,12 +106,15 @@ def main() -> int:
         slug = f"{compiler}_{flags}".replace(" ", "_")
         folder = build(compiler, flags, TOP / "build" / f"same_bits_{slug}")
         threads = UNOPTIMISED_THREADS if "-O0" in flags else THREADS
-        steps = said_by(folder / "hash_step_dispatched", "dispatched")
-        runs = sorted({said_by(folder / "hash_runs", str(count), *inputs) for count in threads})
-        answers.add((steps, *runs))
-        (folder / "said.txt").write_text(steps + "".join(runs))
-        counts, digests = ", ".join(map(str, threads)), " ".join(map(digest, runs))
-        print(f"| {name_of(compiler)} {flags} | {counts} | {digest(steps)} | {digests} |", flush=True)
+        stepped = {said_by(folder / "hash_step_dispatched", "dispatched", environment=like) for like in REPEATS}
+        ran = {said_by(folder / "hash_runs", str(count), *inputs) for count in threads}
+        ran.add(said_by(folder / "hash_runs", "1", *inputs, environment=OLD_MACHINE))
+        steps, runs = sorted(stepped), sorted(ran)
+        answers.add((*steps, *runs))
+        (folder / "said.txt").write_text("".join(steps + runs))
+        counts = ", ".join(map(str, threads))
+        hashes = [" ".join(map(digest, said)) for said in (steps, runs)]
+        print(f"| {name_of(compiler)} {flags} | {counts} | {hashes[0]} | {hashes[1]} |", flush=True)
     print(f"\n{len(answers)} different answer(s)")
     return int(len(answers) != 1)
 

@@ -1,8 +1,15 @@
-# Runs every program of PROGRAMS (";"-separated, "path argument") and fails unless all that can run print the same.
+# Runs every program of PROGRAMS (";"-separated, "path argument") and fails unless all that can run print the same; each
+# twice, the second time with the functions that glibc has for a machine without FMA.
+set(OLD_MACHINE "GLIBC_TUNABLES=glibc.cpu.hwcaps=-FMA,-AVX2,-FMA4,-AVX")
 foreach(program ${PROGRAMS})
   # The path may hold spaces, the argument does not.
   string(REGEX MATCH "^(.+) ([^ ]+)$" both "${program}")
   execute_process(COMMAND "${CMAKE_MATCH_1}" "${CMAKE_MATCH_2}" OUTPUT_VARIABLE said RESULT_VARIABLE code)
+  execute_process(COMMAND "${CMAKE_COMMAND}" -E env "${OLD_MACHINE}" "${CMAKE_MATCH_1}" "${CMAKE_MATCH_2}"
+    OUTPUT_VARIABLE said_old)
+  if(NOT said_old STREQUAL said)
+    message(FATAL_ERROR "${program} differs with the functions of an old machine:\n${said_old}")
+  endif()
   if(code EQUAL 77)
     message("${said}: left out")
   elseif(NOT code EQUAL 0)
