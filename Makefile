@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 CORE := $(wildcard runtime/CMakeLists.txt runtime/*.in runtime/src/* runtime/include/palmar/*)
 MODULES := $(sort $(wildcard runtime/palmar/*.py tools/*.py traces/*.py eval/*.py))
 
-.PHONY: demo test fuzz fuzz-readers sanitize bench programs lint tidy licences sbom lowest wheels coverage coverage-core coverage-python soak format clean names
+.PHONY: demo test fuzz fuzz-readers sanitize bench programs lint tidy licences sbom lowest wheels coverage soak format clean names
 
 demo: .venv/installed
 	@echo "== demo: built-in objects, a scripted grasp, replay, report"
@@ -103,17 +103,23 @@ WHEELS ?= python3.11 python3.12 python3.13 python3.14
 wheels:
 	@$(PYTHON) tests/wheels.py build/wheels $(WHEELS) -- tests/test_cli.py tests/test_tables.py tests/tools/test_mesh.py
 
-# Lines and branches that the tests reach: of the core by gcc's counters, of Python by coverage.py. Some ten minutes each.
-coverage: coverage-core coverage-python
-coverage-core: .venv/audit
-	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/coverage -G Ninja -DPALMAR_TESTS=ON -DCMAKE_BUILD_TYPE=Plain -DCMAKE_CXX_FLAGS="--coverage -O0" \
-	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
-	@$(BIN)/cmake --build build/coverage -- --quiet
-	@$(BIN)/ctest --test-dir build/coverage --output-on-failure
-	@$(BIN)/gcovr --root runtime --filter runtime/src build/coverage --exclude-throw-branches --print-summary
-coverage-python: .venv/audit programs
-	@$(BIN)/coverage run -m pytest -p no:cacheprovider
-	@$(BIN)/coverage report --format=total --precision=1 && $(BIN)/coverage report --skip-covered
+# Lines and branches that all tests reach, of the core by gcc's counters and of Python by coverage.py, in one run: Python's tests drive
+# much of the core. In an environment of its own, whose core counts. `make coverage TESTS=tests/eval` for a part of Python's tests.
+COUNTED := build/coverage/env/bin
+TESTS ?= tests
+FULL_DISK := tests/traces/test_glove.py::test_a_full_disk_costs_the_end_alone_and_exit_code_3# where the counter has no room either
+coverage: .venv/audit programs
+	@$(PYTHON) -m venv build/coverage/env
+	@$(COUNTED)/python -m pip --quiet --disable-pip-version-check install -r .venv/build-requires.txt -r .venv/audit-requires.txt cmake ninja
+	@PATH="$(CURDIR)/$(COUNTED):$$PATH" $(COUNTED)/python -m pip --quiet --disable-pip-version-check install --no-build-isolation -e '.[test]' \
+	  -C build-dir=build/coverage/core -C cmake.build-type=Plain -C cmake.define.PALMAR_TESTS=ON -C cmake.define.CMAKE_CXX_FLAGS="--coverage -O1"
+	@find build/coverage/core -name '*.gcda' -delete; $(COUNTED)/coverage erase
+	@$(COUNTED)/ctest --test-dir build/coverage/core --output-on-failure --parallel 2
+	@$(COUNTED)/coverage run -m pytest -p no:cacheprovider --deselect $(FULL_DISK) $(TESTS)
+	@$(COUNTED)/coverage combine --quiet && $(COUNTED)/coverage json --quiet -o build/coverage/python.json
+	@$(COUNTED)/gcovr --root runtime --filter runtime/src --exclude-throw-branches --gcov-ignore-parse-errors=negative_hits.warn_once_per_file \
+	  build/coverage/core --json build/coverage/core.json
+	@$(COUNTED)/python tests/reached.py
 
 # Ten minutes at 1 kHz: flat memory, and how late a frame is. `make soak SOAK=3600` for the hour.
 SOAK ?= 600

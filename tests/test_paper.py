@@ -12,13 +12,16 @@ def test_the_papers_figures_of_an_own_object(run, tmp_path, monkeypatch):
     rows = [f"{x},{y},{z},0.012" for x, y, z in product((-0.024, 0.0, 0.024), repeat=3)]
     (tmp_path / "cube.csv").write_text("\n".join(["x_m,y_m,z_m,radius_m", *rows]))
     assert run("build", "shape:cube", "-o", "cube.pack", "--spheres-csv", "cube.csv")[0] == 0
-    monkeypatch.setattr(paper, "SIMPLE", {})  # five builds, and nothing of them is tested here
+    monkeypatch.setattr(paper, "SIMPLE", {"cylinder": 27})  # of five; what stands in `made` is taken up again
+    assert run("build", "shape:cylinder", "-o", "cylinder.pack", "--spheres-csv", "cube.csv")[0] == 0
+    (tmp_path / "p" / "made").mkdir(parents=True)
+    (tmp_path / "cylinder.pack").rename(tmp_path / "p" / "made" / "cylinder-27-0.pack")
     monkeypatch.setattr(paper_figures, "TILE_PIXELS", 40)
     code, out, errors = run("report", "--paper", "cube.pack", "-o", "p", "--repeats", "1", "--json")
     answer = json.loads(out)
-    assert (code, errors) == (0, []) and list(answer["figures"]) == ["fig13", "fig14", "fig15"]
+    assert (code, errors) == (0, []) and list(answer["figures"]) == ["fig11", "fig12", "fig13", "fig14", "fig15"]
     names = {path.name for path in (tmp_path / "p" / "figures").iterdir()}
-    assert names >= {f"fig{n}.{kind}" for n in (13, 14, 15) for kind in ("pdf", "svg", "png")}
+    assert names >= {f"fig{n}.{kind}" for n in range(11, 16) for kind in ("pdf", "svg", "png")}
     assert {"fig13.csv", "fig14-0-cube.csv", "fig15.csv", "table_vd.csv"} <= names
     table = list(csv.DictReader((tmp_path / "p" / "figures" / "table_vd.csv").read_text().splitlines()))
     assert [row["object"] for row in table] == ["the paper", "cube", "cube"]
@@ -30,6 +33,13 @@ def test_the_papers_figures_of_an_own_object(run, tmp_path, monkeypatch):
         assert told in page
     tiles = list(csv.DictReader((tmp_path / "p" / "figures" / "fig13.csv").read_text().splitlines()))
     assert [tile["column"] for tile in tiles] == ["squeeze", "hold", "slide"] and float(tiles[1]["contacts"]) > 0
+    tiles = list(csv.DictReader((tmp_path / "p" / "figures" / "fig11.csv").read_text().splitlines()))
+    assert [tile["row"] for tile in tiles] == ["one finger", "two fingers", "five and palm"]
+    assert {tile["object"] for tile in tiles} == {"cylinder"} and all(float(tile["contacts"]) > 0 for tile in tiles)
+    # Fingers in turn: none of them presses in the first half second, and the index does when its turn has come.
+    steps = list(csv.DictReader((tmp_path / "p" / "figures" / "fig12-cylinder.csv").read_text().splitlines()))
+    force = {name: [float(step[f"{name}_n"]) for step in steps] for name in ("index", "little")}
+    assert not any(force["index"][:500]) and force["little"].count(0.0) > force["index"].count(0.0) > 500
 
 
 def test_each_mistake_is_one_line_with_exit_code_2(run, tmp_path):

@@ -52,7 +52,7 @@ def import_log(
     name = _object_of(pack, grasp, object_name)
 
     def change(trace: Trace) -> Trace:
-        if hand is not None and hand.about["sha256"] != pack.hand.about["sha256"]:
+        if hand is not None and hand.about["sha256"] != pack.hand.about.get("sha256"):
             raise BadPack("E-PACK-HAND", str(grasp), _differs(hand, pack.hand))
         return put_object(trace, pack.hand, pack.objects[name].leaves, name)
 
@@ -69,5 +69,5 @@ def _object_of(pack: AssetPack, path: Path, name: str) -> str:
 
 
 def _differs(hand: HandModel, packed: HandModel) -> str:
-    found = f"built for hand {packed.about['name']}, the trace is of {hand.about['name']}"
+    found = f"built for hand {packed.about.get('name', 'unnamed')}, the trace is of {hand.about['name']}"
     return f"{found}; build it with the same --hand and --profile"

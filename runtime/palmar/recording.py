@@ -182,8 +182,8 @@ def _hand_of(
     hand = find_hand(hand_name) if profile is None else fit_to_profile(find_hand(hand_name), profile)
     if solve is not None:
         packed = load_pack(solve).hand
-        if (hand_name or profile) and packed.about["sha256"] != hand.about["sha256"]:
-            found = f"built for hand {packed.about['name']}, the recording is of {hand.about['name']}"
+        if (hand_name or profile) and packed.about.get("sha256") != hand.about["sha256"]:
+            found = f"built for hand {packed.about.get('name', 'unnamed')}, the recording is of {hand.about['name']}"
             raise BadPack("E-PACK-HAND", str(solve), f"{found}; build it with the same --hand and --profile")
         hand = packed
     if side is not None and side != hand.about["side"]:
