@@ -121,6 +121,53 @@ void length_without_end_allocates_nothing() {
   CHECK(code_of([] { read_run(kPath); }) == "E-TRACE-FORMAT");
 }
 
+// A run of two steps in which one message is another than the writer would have made it.
+template <class Change>
+Run run_with(Change change) {
+  const Steps all = make_steps(2, 0.001);
+  StepResult second = all.steps[1];
+  ContactColumns contacts{second.time_s, {3}, {7}, {UINT32_MAX}, {0.0}, {1.0}, {1, 2, 3}, {0, 0, 1}};
+  TimingMessage timing{second.time_s, all.timing[1]};
+  change(second, contacts, timing);
+  McapWriter writer(kPath);
+  writer.add_metadata("palmar.run", {{"schema", "palmar.run/1"}});
+  CdrEncoder cdr;
+  const auto put = [&](const MessageType& type, auto fields) {
+    const std::uint16_t channel = writer.add_channel(type.topic, type.name, type.text);
+    cdr.start();
+    fields();
+    writer.add_message(channel, 0, cdr.bytes());
+  };
+  put(kStepType, [&] { step_fields(cdr, all.steps[0]); });
+  put(kStepType, [&] { step_fields(cdr, second); });
+  put(kContactsType, [&] { contacts_fields(cdr, contacts); });
+  put(kTimingType, [&] { timing_fields(cdr, timing); });
+  writer.close();
+  return read_run(kPath);
+}
+
+void what_belongs_to_no_step_is_counted() {
+  const Run sound = run_with([](auto&, auto&, auto&) {});
+  CHECK(sound.steps.size() == 2 && sound.contacts.size() == 1 && sound.loss.messages == 0);
+  CHECK(sound.contacts[0].point_m == (std::array{1.0, 2.0, 3.0}) && sound.timing[1].wall_us == number(2));
+  // Its contacts and its timing are lost with a step whose time does not rise.
+  const Run late = run_with([](StepResult& step, auto&, auto&) { step.time_s = 0; });
+  CHECK(late.steps.size() == 1 && late.contacts.empty() && late.loss.messages == 3);
+  const Run other = run_with([](auto&, ContactColumns& contacts, auto&) { contacts.time_s = 0.5; });
+  CHECK(other.steps.size() == 2 && other.contacts.empty() && other.loss.messages == 1);
+  const Run strange = run_with([](auto&, auto&, TimingMessage& timing) { timing.time_s = 0; });
+  CHECK(strange.steps.size() == 2 && std::isnan(strange.timing[1].wall_us) && strange.loss.messages == 1);
+  const auto refused = [](auto change) {
+    return code_of([&] { run_with([&](auto&, ContactColumns& contacts, auto&) { change(contacts); }); });
+  };
+  CHECK(refused([](ContactColumns& c) { c.object_sphere.clear(); }) == "E-TRACE-FORMAT");
+  CHECK(refused([](ContactColumns& c) { c.point_m.pop_back(); }) == "E-TRACE-FORMAT");
+  CHECK(refused([](ContactColumns& c) { c.normal.push_back(0); }) == "E-TRACE-FORMAT");
+  Steps again = make_steps(2, 0.001);
+  again.steps[1].time_s = again.steps[0].time_s;
+  CHECK(code_of([&] { write_run(kPath, again); }) == "E-TRACE-TIME");
+}
+
 void writer_without_close_leaves_nothing() {
   std::filesystem::remove(kPath);
   {
@@ -173,6 +220,7 @@ int main() {
   trace_comes_back_bit_for_bit();
   run_comes_back_bit_for_bit();
   wrong_values_are_refused();
+  what_belongs_to_no_step_is_counted();
   wrong_files_are_refused_by_name();
   length_without_end_allocates_nothing();
   recorder_killed_loses_under_a_quarter_second();
