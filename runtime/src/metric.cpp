@@ -41,12 +41,6 @@ void ArrowMatrix::add_diagonal(int variable, double value) {
   (variable < kPalmVariables ? palm[variable][variable] : finger[f][k][k]) += value;
 }
 
-Metric Metric::diagonal(const Change& inverse_weight) {
-  Metric m;
-  for (int v = 0; v < kVariables; ++v) m.set_diagonal(v, inverse_weight[v]);
-  return m;
-}
-
 void Metric::set_diagonal(int variable, double inverse_weight) {
   const double root = std::sqrt(inverse_weight);
   const int f = (variable - kPalmVariables) / kFingerVariables, k = (variable - kPalmVariables) % kFingerVariables;

@@ -40,8 +40,7 @@ struct Metric {
   double finger[kFingers][kFingerVariables][kFingerVariables] = {};
   double across[kFingers][kPalmVariables][kFingerVariables] = {};
 
-  // H = diag(1 / inverse_weight). A variable of inverse weight 0 stays where it is.
-  static Metric diagonal(const Change& inverse_weight);
+  // Of a diagonal H. A variable of inverse weight 0 stays where it is.
   void set_diagonal(int variable, double inverse_weight);
 
   // Of a matrix whose pivots are all above `least`, variable by variable; false, and nothing said, of another one.
