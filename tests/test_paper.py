@@ -4,8 +4,11 @@ import csv
 import json
 from itertools import product
 
+import pytest
+
 from palmar import paper
 from palmar.eval import paper_figures
+from palmar.records import read_trace
 
 
 def test_the_papers_figures_of_an_own_object(run, tmp_path, monkeypatch):
@@ -36,10 +39,13 @@ def test_the_papers_figures_of_an_own_object(run, tmp_path, monkeypatch):
     tiles = list(csv.DictReader((tmp_path / "p" / "figures" / "fig11.csv").read_text().splitlines()))
     assert [tile["row"] for tile in tiles] == ["one finger", "two fingers", "five and palm"]
     assert {tile["object"] for tile in tiles} == {"cylinder"} and all(float(tile["contacts"]) > 0 for tile in tiles)
-    # Fingers in turn: none of them presses in the first half second, and the index does when its turn has come.
+    # Fingers in turn: a row for each step of the trace, and no force before the first of them closes.
     steps = list(csv.DictReader((tmp_path / "p" / "figures" / "fig12-cylinder.csv").read_text().splitlines()))
-    force = {name: [float(step[f"{name}_n"]) for step in steps] for name in ("index", "little")}
-    assert not any(force["index"][:500]) and force["little"].count(0.0) > force["index"].count(0.0) > 500
+    (in_turn,) = (tmp_path / "p" / "made").glob("cylinder-27-0-*-in-turn.mcap")
+    trace = read_trace(in_turn)
+    assert [float(step["time_s"]) for step in steps] == pytest.approx(trace.time_s, abs=1e-6)
+    come = trace.phases[0]["end_s"]
+    assert not any(float(step["index_n"]) for step in steps if float(step["time_s"]) < come)
 
 
 def test_each_mistake_is_one_line_with_exit_code_2(run, tmp_path):
