@@ -1,5 +1,6 @@
 """What verbs print where nobody asked for JSON: the same facts, for a person."""
 
+import io
 import re
 from itertools import product
 
@@ -8,7 +9,10 @@ from made_trace import make_trace
 
 from palmar import load_pack, read_run
 from palmar.cli import STOPPED
+from palmar.cli_judge import _recomputed
 from palmar.records import read_trace, write_trace
+from palmar.show import print_fit, print_residuals
+from palmar.terminal import progress_bar
 
 
 @pytest.fixture
@@ -76,3 +80,43 @@ def test_what_is_no_fault_of_palmars_is_no_bug(run, cube, monkeypatch, raised, c
 
     monkeypatch.setattr("palmar.show.describe", fail)
     assert run("show", "cube.pack") == (code, "", said)
+
+
+def test_a_bar_is_for_a_terminal_alone(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    for there, wanted, told in ((Terminal(), True, True), (Terminal(), False, False), (io.StringIO(), True, False)):
+        monkeypatch.setattr("sys.stderr", there)
+        with progress_bar(wanted) as progress:
+            progress("fitting", 0.5)
+        assert ("fitting" in there.getvalue()) == told
+
+
+def test_a_fitted_hand_is_told_part_by_part(capsys):
+    stats = {"max": 3.5, "p99": 2.5, "mean": 0.5}
+    error = {part: {"protrusion_mm": stats, "gap_mm": {**stats, "max": 4.5}} for part in ("palm", "phalanges")}
+    residual = {"index": {"p50": 0.25, "p99": 1.25, "max": 7.75}}
+    hand = {"error": {"rest": error, "sweep": error, "volume_ratio": 1.01}, "scan": {"residual_mm": residual}}
+    hand |= {"side": "left", "palm": {"kept": 94}, "axes": "skin"}
+    print_fit({"hand": hand, "out": "h.safetensors", "sha256": "abc"})
+    out = capsys.readouterr().out
+    for part in error:
+        assert field(out, part).split() == ["3.5", "2.5", "0.5", "4.5", "2.5", "0.5", "2.5", "2.5"]
+    assert field(out, "index").split() == ["0.25", "1.25", "7.75"]
+    assert (field(out, "hand"), field(out, "palm spheres"), field(out, "sha256")) == ("h.safetensors", "94", "abc")
+
+
+def test_residuals_are_told_point_by_point(capsys):
+    print_residuals({"index": {"tip": {"p50": 1.5, "p99": 2.5, "max": 3.5}}, "fingertips": {"p50": 4.5, "max": 5.5}})
+    out = capsys.readouterr().out
+    assert field(out, "index").split() == ["tip", "1.5", "2.5", "3.5"]
+    assert field(out, "fingertips").split() == ["all", "4.5", "5.5"]
+
+
+def test_what_the_judge_found_again_is_told():
+    found = {"contacts": 2500, "steps": 1000, "same": False, "gap_mm": 0.25, "tolerance_mm": 1e-6}
+    said = "recomputed: 2,500 contacts of 1,000 random steps, gaps NOT equal to 0.25 mm (allowed 1e-06)"
+    assert _recomputed(found) == [said]
+    assert _recomputed(None) == _recomputed({**found, "contacts": 0}) == []
