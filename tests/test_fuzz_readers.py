@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 from safetensors.numpy import load, save
 from test_column_map import MAP, made_log
 from test_column_map import write_log as write_mapped_log
+from test_opengloves import LINE, read_all
 from test_profile import FULL
 
 from palmar import _runtime
@@ -34,6 +35,7 @@ from palmar.tools.profile_file import profile_toml, read_profile
 from palmar.tools.spheres_csv import read_spheres_csv
 from palmar.traces.column_map import read_column_map, read_mapped_csv
 from palmar.traces.device import read_device
+from palmar.traces.opengloves import FULL_SCALE, NEW_KEYS_AFTER, Decoder, encode_reading
 from palmar.traces.recording import Recording
 from palmar.traces.scene_file import cases_of
 from palmar.traces.scripted import SCENES, load_scene
@@ -164,6 +166,29 @@ def pack(path: Path) -> None:
         _runtime.Session(str(path), name)  # the core takes whatever Python takes
 
 
+def glove_bytes(path: Path) -> None:
+    """Shares of the full scale come out, the same however the bytes arrive, and the glove is known then."""
+    raw, decoder, bytewise = path.read_bytes() + b"\n", Decoder(), Decoder()
+    readings, rejected = read_all([raw], decoder)
+    again, rejected_again = read_all([raw[at : at + 1] for at in range(len(raw))], bytewise)
+    assert (repr(readings), rejected, decoder) == (repr(again), rejected_again, bytewise)  # NaN is not itself
+    for reading in readings:
+        shares = np.array([*reading.flexion, reading.trigger])
+        signed = np.array([*reading.abduction, *reading.joystick])
+        assert ((shares >= 0) & (shares <= 1) | np.isnan(shares)).all() and not np.isnan(shares[15])
+        assert (np.isnan(signed) | (abs(signed) <= 1)).all()
+        assert not np.isnan(np.reshape(reading.flexion, (5, 3))).all(axis=1).any()  # of every finger something
+        assert 0 <= reading.buttons < 256
+        if finite(np.array(reading.flexion[::3])):
+            back = Decoder().decode(encode_reading(reading).strip())
+            assert back is not None and np.allclose(
+                back.flexion[::3], reading.flexion[::3], rtol=0, atol=1 / FULL_SCALE
+            )
+    assert decoder.largest <= FULL_SCALE and decoder.hand in (None, 0, 1)
+    known, _ = read_all([LINE + b"\n"] * NEW_KEYS_AFTER, decoder)
+    assert known
+
+
 def small_pack(folder: Path) -> bytes:
     """Without its checksum, which no change would come past."""
     raw = (folder / "cube.pack").read_bytes()
@@ -186,6 +211,15 @@ def scene_text(name: str) -> Callable[[Path], bytes]:
 
 ASSETS = b'hand = "default"\n[[object]]\nmesh = "shape:cube"\nname = "c"\nsize_mm = 80\nerror_mm = 2.0\nclose = true\n'
 SPHERES = b"x_m,y_m,z_m,radius_m\n0,0,0,0.01\n0.02,0.0,-0.01,0.012\n"
+GLOVE = b"\n".join(
+    [
+        b"Z(ZV)1(ZG)2(ZH)1",
+        LINE,
+        b"A100B200C300D400E500F2048G2048P7HKN",
+        b"A100B200C300D400E500F0G4095P0(AAA)1(AAB)2(AAC)3(BAB)10(BAC)20(BAD)30(AB)500(BB)4095",
+        b"100&200&300&400&500&2048&0&0&1&0&1&0&1",
+    ]
+)
 ANGLES = made_logs.made_angles(4)
 READERS = {
     "hand": Reader(lambda _: (TOP / "tools" / "default_hand.toml").read_bytes(), "hand.toml", hand),
@@ -198,6 +232,7 @@ READERS = {
     "mapped log": Reader(mapped, "other.csv", mapped_log),
     "leap log": Reader(made(made_logs.leap_log, made_logs.made_hand(), ANGLES), "leap.csv", log),
     "webxr log": Reader(made(made_logs.webxr_log, made_logs.made_hand(), ANGLES), "webxr.csv", log),
+    "glove bytes": Reader(lambda _: GLOVE, "glove.bin", glove_bytes),
     "spheres": Reader(lambda _: SPHERES, "spheres.csv", spheres),
     "pack": Reader(small_pack, "x.pack", pack),
 }

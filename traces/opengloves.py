@@ -70,14 +70,13 @@ class Decoder:
         if found is None:
             raise Rejected("cut" if re.fullmatch(rb"\d+(&\d*)+", line) else "garbage")
         fields = [(key.decode(), digits) for key, digits in _FIELD.findall(line, found.start())]
-        broken = found.start() > 0
-        names = [key for key, _ in fields]
-        if len(set(names)) < len(names):
-            fields, broken = _after_repeat(fields), True
+        whole = _after_repeat(fields)
+        broken = found.start() > 0 or len(whole) < len(fields)
+        fields, names = whole, [key for key, _ in whole]
         if "Z" in names:
             # What stands before it is the rest of a broken line, or the end of noise.
-            info = [key for key, _ in fields].index("Z")
-            if {key for key, _ in fields[info:]} <= _INFO:
+            info = names.index("Z")
+            if set(names[info:]) <= _INFO:
                 self._inform(dict(fields[info:]))
                 return None
             fields, broken = fields[info + 1 :], True

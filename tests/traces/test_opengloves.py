@@ -133,6 +133,13 @@ def test_every_good_line_of_a_stream_with_every_fault_is_kept_and_nothing_else()
     assert rejected
 
 
+def test_an_info_packet_that_was_glued_before_a_line_with_a_repeat_is_no_reason_to_stop():
+    decoder = Decoder()
+    reading = decoder.decode(b"Z(ZH)1A1" + LINE)
+    assert reading is not None and as_lines([reading]) == [LINE]
+    assert decoder.hand is None and decoder.glued == 1
+
+
 @settings(max_examples=300)
 @given(st.binary(max_size=300))
 def test_any_bytes_are_a_reading_or_rejected(content):
