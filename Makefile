@@ -11,7 +11,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 CORE := $(wildcard runtime/CMakeLists.txt runtime/*.in runtime/src/* runtime/include/palmar/*)
 MODULES := $(sort $(wildcard runtime/palmar/*.py tools/*.py traces/*.py eval/*.py))
 
-.PHONY: demo test fuzz fuzz-readers sanitize bench programs lint tidy licences sbom lowest wheels coverage soak format clean names
+.PHONY: demo test fuzz fuzz-readers sanitize bench programs lint tidy licences sbom lowest wheels coverage coverage-fuzz soak format clean names
 
 demo: .venv/installed
 	@echo "== demo: built-in objects, a scripted grasp, replay, report"
@@ -28,20 +28,32 @@ FUZZ ?= --steps 1000000
 fuzz: programs
 	@build/tests/fuzz_step $(FUZZ)
 
-# The readers under clang's fuzzer (apt: clang-19 libclang-rt-19-dev), SECONDS each; what it finds stays in build/fuzz/NAME.
-# Inputs are no longer than a sound file with everything in it needs, since long ones take longer.
+# The readers under clang's fuzzer (apt: clang-19 libclang-rt-19-dev), SECONDS each with the checks of undefined behaviour and of the bounds of
+# containers alone, then all that this found, and SECONDS more, with those of memory too. Inputs stay in build/fuzz/NAME, those that fail beside
+# it. They are no longer than a sound file with everything in it needs, since long ones take longer.
 SECONDS ?= 60
 FUZZERS := trace pack cdr settings
+FUZZ_CHECKS := fuzz-undefined fuzz
 LONGEST_trace := 10500
 LONGEST_pack := 4500
 LONGEST_cdr := 1000
 LONGEST_settings := 1000
 fuzz-readers: .venv/installed
-	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/fuzz -G Ninja -DCMAKE_CXX_COMPILER=clang++-19 -DPALMAR_TESTS=ON -DPALMAR_SANITIZE=fuzz \
+	@$(foreach checks,$(FUZZ_CHECKS),PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/$(checks) -G Ninja -DCMAKE_CXX_COMPILER=clang++-19 \
+	  -DPALMAR_TESTS=ON -DPALMAR_SANITIZE=$(checks) -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" \
+	  --log-level=WARNING >/dev/null && $(BIN)/cmake --build build/$(checks) --target $(addprefix fuzz_,$(FUZZERS)) -- --quiet &&) true
+	@$(foreach checks,$(FUZZ_CHECKS),$(foreach name,$(FUZZERS),mkdir -p build/fuzz/$(name) && build/$(checks)/fuzz_$(name) -max_total_time=$(SECONDS) \
+	  -max_len=$(LONGEST_$(name)) -reduce_inputs=0 -reload=0 -rss_limit_mb=2048 -print_final_stats=1 -artifact_prefix=build/fuzz/$(name)- \
+	  build/fuzz/$(name) tests/fuzz/saved/$(name) &&)) true
+
+# Lines and branches of the readers that those inputs reach; no fuzzer is needed, but what one left in build/fuzz.
+READERS := mcap_reader|mcap\.h|trace_file|run_file|channels|schemas|cdr|utf8|pack_file|settings
+coverage-fuzz: .venv/audit
+	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/coverage-fuzz -G Ninja -DPALMAR_TESTS=ON -DCMAKE_BUILD_TYPE=Plain -DCMAKE_CXX_FLAGS="--coverage -O0" \
 	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
-	@$(BIN)/cmake --build build/fuzz --target $(addprefix fuzz_,$(FUZZERS)) -- --quiet
-	@$(foreach name,$(FUZZERS),mkdir -p build/fuzz/$(name) && build/fuzz/fuzz_$(name) -max_total_time=$(SECONDS) -max_len=$(LONGEST_$(name)) \
-	  -rss_limit_mb=2048 -print_final_stats=1 -artifact_prefix=build/fuzz/$(name)- build/fuzz/$(name) tests/fuzz/saved/$(name) &&) true
+	@$(BIN)/cmake --build build/coverage-fuzz --target $(addprefix replay_,$(FUZZERS)) -- --quiet
+	@$(foreach name,$(FUZZERS),build/coverage-fuzz/replay_$(name) tests/fuzz/saved/$(name) && build/coverage-fuzz/replay_$(name) build/fuzz/$(name) &&) true
+	@$(BIN)/gcovr --root runtime --filter 'runtime/src/($(READERS))' build/coverage-fuzz --exclude-throw-branches --print-summary
 
 # The C++ tests under checks of memory and of undefined behaviour (address), then under a detector of races (thread).
 SANITIZE ?= address thread

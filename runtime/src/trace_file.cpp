@@ -173,7 +173,11 @@ Trace read_trace(const std::string& path) { return read(read_mcap(path), path, f
 
 Trace trace_of(const McapFile& file, const std::string& path) { return read(file, path, false, {}); }
 
-Trace salvage_trace(const std::string& path, const Header& spare) { return read(read_mcap(path), path, true, spare); }
+Trace salvage_trace(const std::string& path, const Header& spare) { return salvage_of(read_mcap(path), path, spare); }
+
+Trace salvage_of(const McapFile& file, const std::string& path, const Header& spare) {
+  return read(file, path, true, spare);
+}
 
 TraceWriter::TraceWriter(const std::string& path, Header header, McapWriter::Place place, Beside beside)
     : writer_((complete_header(header, path), path), place) {  // a wrong header makes no file

@@ -22,6 +22,8 @@ Trace trace_of(const McapFile& file, const std::string& path);
 // As read_trace, but a sample whose values break the format is left out and counted too, and a header that is damaged
 // is taken to be `spare`, unless that is empty.
 Trace salvage_trace(const std::string& path, const Header& spare);
+// The same of a file that was read; `path` is for errors alone.
+Trace salvage_of(const McapFile& file, const std::string& path, const Header& spare);
 
 // The file appears whole or not at all. Times must rise (E-TRACE-TIME). Trace::loss is not written.
 void write_trace(const std::string& path, const Trace& trace);
