@@ -33,7 +33,7 @@ void go_round(std::span<const std::uint8_t> payload, Fields fields) {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   if (size == 0) return 0;
   const std::span<const std::uint8_t> payload(data + 1, size - 1);
-  switch (data[0] % 5) {
+  switch (data[0] % 6) {
     case 0:
       go_round<Sample>(payload, [](auto& cdr, auto& m) { sample_fields(cdr, m); });
       break;
@@ -46,8 +46,11 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     case 3:
       go_round<ContactColumns>(payload, [](auto& cdr, auto& m) { contacts_fields(cdr, m); });
       break;
-    default:
+    case 4:
       go_round<TimingMessage>(payload, [](auto& cdr, auto& m) { timing_fields(cdr, m); });
+      break;
+    default:
+      go_round<DeviceReading>(payload, [](auto& cdr, auto& m) { device_reading_fields(cdr, m); });
   }
   return 0;
 }

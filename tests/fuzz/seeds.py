@@ -66,6 +66,16 @@ def make_pack(path: Path) -> None:
     save_pack(path, AssetPack(type(hand)(**few, about={"name": "h", "side": "left"}), {"o": tree}, {}))
 
 
+def write_recording(path: Path) -> None:
+    """One of each message that a glove's recording has."""
+    recording = _runtime.DeviceRecording(str(path), {"device": "d", "hand": "h", "side": "left"})
+    recording.add_device_bytes(0.1, b"A1\n")
+    recording.add_pose_bytes(0.1, b"{}")
+    recording.add_reading(0.1, [0.5] * 15, [np.nan] * 5, [0.0, 0.0], 0.0, 1)
+    recording.add_sample(0.1, True, [0, 0, 0], [1, 0, 0, 0], [0.3] * 15, [0.0] * 5)
+    recording.close({"end": "e"})
+
+
 def main(folder: Path) -> None:
     for name in ("trace", "pack", "cdr", "settings"):
         (folder / name).mkdir(parents=True, exist_ok=True)
@@ -76,14 +86,16 @@ def main(folder: Path) -> None:
         (folder / "trace" / f"trace_{count}").write_bytes(with_crcs_of_one(source.read_bytes()))
     _runtime.replay(str(pack), str(source), str(run), "", {"rate_hz": 5}, {})
     (folder / "trace" / "run").write_bytes(with_crcs_of_one(run.read_bytes()))
+    write_recording(source)
+    (folder / "trace" / "recording").write_bytes(with_crcs_of_one(source.read_bytes()))
     raw = re.sub(rb'(crc32\\": \\")[0-9a-f]{8}', rb"\g<1>00000001", pack.read_bytes())
     (folder / "pack" / "small").write_bytes(raw)
 
     # Of each message the first: its number in fuzz_cdr.cpp, then its bytes.
     from mcap.reader import NonSeekingReader
 
-    for number, path in ((0, source), (2, run), (4, run)):
-        topics = {0: "/haptic_hand", 2: "/graphic_hand", 4: "/timing"}
+    for number, path in ((0, source), (2, run), (4, run), (5, source)):
+        topics = {0: "/haptic_hand", 2: "/graphic_hand", 4: "/timing", 5: "/device_reading"}
         with path.open("rb") as stream:
             for _, _, message in NonSeekingReader(stream).iter_messages([topics[number]]):
                 (folder / "cdr" / f"message_{number}").write_bytes(bytes([number]) + message.data)
