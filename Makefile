@@ -34,7 +34,7 @@ fuzz: programs
 SECONDS ?= 60
 FUZZERS := trace pack cdr settings
 FUZZ_CHECKS := fuzz-undefined fuzz
-LONGEST_trace := 10500
+LONGEST_trace := 8500
 LONGEST_pack := 4500
 LONGEST_cdr := 1000
 LONGEST_settings := 1000

@@ -4,6 +4,7 @@ import json
 import re
 import struct
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,12 @@ def trace(count: int, object_pose: bool) -> Trace:
     )
 
 
+def pressing() -> Trace:
+    """Two samples between which the fingers meet the spheres of `make_pack`, so that a run of them has contacts."""
+    palm = np.array([[0.0, -0.12, 0.0], [0.0, -0.02, 0.0]])
+    return replace(trace(2, True), palm_position_m=palm, tracked=np.ones(2, dtype=bool))
+
+
 def make_pack(path: Path) -> None:
     hand = find_hand("default")
     few = {name: getattr(hand, name) for name in HAND_SHAPES} | {"palm_spheres_m": hand.palm_spheres_m[:2]}
@@ -84,6 +91,7 @@ def main(folder: Path) -> None:
     for count, object_pose in ((1, False), (3, True)):
         write_trace(source, trace(count, object_pose))
         (folder / "trace" / f"trace_{count}").write_bytes(with_crcs_of_one(source.read_bytes()))
+    write_trace(source, pressing())
     _runtime.replay(str(pack), str(source), str(run), "", {"rate_hz": 5}, {})
     (folder / "trace" / "run").write_bytes(with_crcs_of_one(run.read_bytes()))
     write_recording(source)
