@@ -52,6 +52,7 @@ coverage-fuzz: .venv/audit
 	@PATH="$(CURDIR)/$(BIN):$$PATH" cmake -S runtime -B build/coverage-fuzz -G Ninja -DPALMAR_TESTS=ON -DCMAKE_BUILD_TYPE=Plain -DCMAKE_CXX_FLAGS="--coverage -O0" \
 	  -DPython_EXECUTABLE="$(CURDIR)/$(BIN)/python" -DCMAKE_MAKE_PROGRAM="$(CURDIR)/$(BIN)/ninja" --log-level=WARNING >/dev/null
 	@$(BIN)/cmake --build build/coverage-fuzz --target $(addprefix replay_,$(FUZZERS)) -- --quiet
+	@find build/coverage-fuzz -name '*.gcda' -delete
 	@$(foreach name,$(FUZZERS),build/coverage-fuzz/replay_$(name) tests/fuzz/saved/$(name) && build/coverage-fuzz/replay_$(name) build/fuzz/$(name) &&) true
 	@$(BIN)/gcovr --root runtime --filter 'runtime/src/($(READERS))' build/coverage-fuzz --exclude-throw-branches --print-summary
 
