@@ -29,7 +29,7 @@ KNOW_ALL = (
 )
 # An include goes to an earlier row only, or to the file's own header.
 LAYERS = [
-    "utf8",
+    "utf8 trig",
     "error records algebra crc32 cdr mcap wide parallel",
     "random triangle_tree point_tree sphere_tree hand schemas mcap_reader mcap_writer",
     "bound_tree inside_ball sphere_union object gap qp pack_file resample channels",
