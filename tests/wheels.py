@@ -1,7 +1,7 @@
 """A wheel for each Python named: built, installed with the newest libraries in an environment of its own, and tried.
 
-python tests/wheels.py FOLDER PYTHON... -- TEST...: a row for each, with its time. A Python that is not here is passed over
-and said; the exit code is 1 where one failed or none was here.
+python tests/wheels.py FOLDER PYTHON... -- TEST...: a row for each, with its time. A Python that is not here is passed
+over and said; the exit code is 1 where one failed or none was here.
 """
 
 import subprocess
