@@ -27,8 +27,11 @@ KNOWN = {"openexr": "BSD-3-Clause"}
 def lowest() -> list[str]:
     """`name==version` of each direct dependency, of the build's and of the tests'."""
     pins = []
-    of_tests = PROJECT["optional-dependencies"]["test"]
-    for text in [*TABLES["build-system"]["requires"], *PROJECT["dependencies"], *of_tests]:
+    for text in [
+        *TABLES["build-system"]["requires"],
+        *PROJECT["dependencies"],
+        *PROJECT["optional-dependencies"]["test"],
+    ]:
         requirement = Requirement(text)
         (bound,) = [each.version for each in requirement.specifier if each.operator == ">="]
         pins.append(f"{requirement.name}=={bound}")

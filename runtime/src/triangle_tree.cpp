@@ -88,8 +88,9 @@ void TriangleTree::split(std::int32_t index, std::vector<Vec3>& middles) {
       face_.begin() + first, face_.begin() + first + half, face_.begin() + first + count,
       [&](std::int32_t i, std::int32_t j) { return std::pair(middles[i][axis], i) < std::pair(middles[j][axis], j); });
   const std::int32_t child = std::int32_t(nodes_.size());
-  nodes_.push_back({{}, {}, first, half});
-  nodes_.push_back({{}, {}, first + half, count - half});
+  const Eigen::Array3d none = Eigen::Array3d::Zero();
+  nodes_.push_back({none, none, first, half});
+  nodes_.push_back({none, none, first + half, count - half});
   nodes_[index].first = child;
   nodes_[index].count = 0;
   split(child, middles);
