@@ -50,7 +50,7 @@ TriangleTree::TriangleTree(const std::vector<Vec3>& vertices, const std::vector<
   face_.resize(faces.size());
   std::iota(face_.begin(), face_.end(), 0);
   nodes_.reserve(faces.size() + 1);
-  nodes_.push_back({{}, {}, 0, std::int32_t(faces.size())});
+  nodes_.push_back({.first = 0, .count = std::int32_t(faces.size())});
   split(0, middles);
   place_.resize(face_.size());
   for (std::size_t at = 0; at < face_.size(); ++at) place_[face_[at]] = std::int32_t(at);
@@ -88,9 +88,8 @@ void TriangleTree::split(std::int32_t index, std::vector<Vec3>& middles) {
       face_.begin() + first, face_.begin() + first + half, face_.begin() + first + count,
       [&](std::int32_t i, std::int32_t j) { return std::pair(middles[i][axis], i) < std::pair(middles[j][axis], j); });
   const std::int32_t child = std::int32_t(nodes_.size());
-  const Eigen::Array3d none = Eigen::Array3d::Zero();
-  nodes_.push_back({none, none, first, half});
-  nodes_.push_back({none, none, first + half, count - half});
+  nodes_.push_back({.first = first, .count = half});
+  nodes_.push_back({.first = first + half, .count = count - half});
   nodes_[index].first = child;
   nodes_[index].count = 0;
   split(child, middles);

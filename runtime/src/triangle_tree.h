@@ -28,7 +28,7 @@ class TriangleTree {
 
  private:
   struct Node {
-    Eigen::Array3d low, high;
+    Eigen::Array3d low = Eigen::Array3d::Zero(), high = Eigen::Array3d::Zero();
     std::int32_t first, count;  // count 0: children first and first + 1; else triangles of order_
   };
   struct Triangle {
