@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 
 DEEP_MM = 1.0  # a hand so far inside the spheres has failed: ten times the depth that the paper states
 HELD_MM = 0.1  # that depth
+ROUNDING_MM = 1e-9  # of positions of a metre in double precision: no depth
 CLOCKS = ("cpu_us", "wall_us", "search_us", "solve_us", "verify_us")
 # What is judged of each replay: number -> (metric, stat). The worst trace counts.
 NUMBERS = {
@@ -201,7 +202,8 @@ def _leads(a: Dot, b: Dot) -> bool:
 
 
 def _depth(dot: Dot) -> float:
-    return dot.numbers["penetration_spheres_mm"] or 0.0
+    depth = dot.numbers["penetration_spheres_mm"] or 0.0
+    return 0.0 if depth < ROUNDING_MM else depth
 
 
 def by_contacts(cells: Sequence[Cell]) -> dict[str, list[dict[str, float]]]:

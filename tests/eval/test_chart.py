@@ -77,6 +77,8 @@ def test_the_sentence_says_where_the_product_leads_and_where_not():
     assert "paper fails 7 steps, 2 mm deep" in said
     # paper 3000 and god_object 3000 are slower and deeper; none is faster and as exact.
     assert said.endswith("of the 4 dots of other solvers 2 are both slower and no shallower, 0 the reverse.")
+    rounded = lead(dots([make_cell("progressive", 500, 20, 9e-15)], "progressive"), "progressive")
+    assert rounded.startswith("progressive is never inside the spheres")
     better = lead(dots([*CELLS, make_cell("penalty", 500, 5, 0.0)], "progressive"), "progressive")
     assert "penalty holds 0.1 mm, 0 mm deep, at 4.0 times as fast" in better and better.endswith("1 the reverse.")
 
