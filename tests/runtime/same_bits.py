@@ -115,7 +115,7 @@ def main() -> int:
         counts = ", ".join(map(str, threads))
         hashes = [" ".join(map(digest, said)) for said in (steps, runs)]
         print(f"| {name_of(compiler)} {flags} | {counts} | {hashes[0]} | {hashes[1]} |", flush=True)
-    print(f"\n{len(answers)} different answer(s)")
+    print("\nall the same" if len(answers) == 1 else f"\n{len(answers)} different answers")
     return int(len(answers) != 1)
 
 
