@@ -64,9 +64,10 @@ void check_crc(const File& file, std::size_t header_end) {
 
 std::vector<unsigned char> read_bytes(const std::string& path) {
   std::error_code problem;
-  const bool is_file = std::filesystem::is_regular_file(path, problem);  // a pipe would keep its reader waiting
-  std::ifstream in(is_file ? path : "", std::ios::binary | std::ios::ate);
-  if (!in) fail("E-PACK-MISSING", path, "cannot be read; a file written by `palmar build` is needed");
+  std::ifstream in;
+  // A pipe would keep its reader waiting.
+  if (std::filesystem::is_regular_file(path, problem)) in.open(path, std::ios::binary | std::ios::ate);
+  if (!in.is_open()) fail("E-PACK-MISSING", path, "cannot be read; a file written by `palmar build` is needed");
   const std::uint64_t size = std::uint64_t(in.tellg());
   if (size > kFileLimit) fail("E-PACK-SIZE", path, std::to_string(size) + " bytes; at most 536870912");
   std::vector<unsigned char> bytes(size);
