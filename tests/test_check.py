@@ -161,6 +161,9 @@ def test_a_check_takes_up_what_is_there_and_any_number_of_cores_gives_the_same(r
     for name in ("check.json", "index.html"):
         assert (tmp_path / "o" / name).read_bytes() == (tmp_path / "p" / name).read_bytes()
     assert len(list((tmp_path / "o" / "tallies").iterdir())) == 4
+    for damage in (b"", b"{", b"[]", b'{"schema": "palmar.tally/2", "answer": {}}', b"\xff"):
+        kept[0].write_bytes(damage)
+        assert run("check", "near.toml", *asked, "-o", "o", "--jobs", "1")[1] == first
     monkeypatch.setattr("palmar.check.check_scene_with", None)  # nothing is replayed again
     assert run("check", "near.toml", "far.toml", *asked, "-o", "o")[1] == of_two[1]
 

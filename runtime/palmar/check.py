@@ -76,7 +76,7 @@ def suite() -> list[str]:
 def _answers(pairs: Sequence[tuple[str, str]], asked: Asked, jobs: int, progress: Progress) -> Iterator[Answer]:
     """The answer of each scene and solver in their order: what is kept, else anew, in so many processes."""
     kept = {pair: _kept(asked, name) for pair, name in zip(pairs, _keys(pairs, asked), strict=True)}
-    todo = [pair for pair, path in kept.items() if path is None or not path.is_file()]
+    todo = [pair for pair, path in kept.items() if _read(path) is None]
     if jobs < 2 or len(todo) < 2:
         for done, pair in enumerate(pairs):
 
@@ -95,8 +95,8 @@ def _answers(pairs: Sequence[tuple[str, str]], asked: Asked, jobs: int, progress
 def _answer(
     pair: tuple[str, str], asked: Asked, path: Path | None, progress: Progress = lambda text, part: None
 ) -> Answer:
-    if path is not None and path.is_file():
-        kept: Answer = json.loads(path.read_text())["answer"]
+    kept = _read(path)
+    if kept is not None:
         return kept
     tally = check_scene_with(*pair, asked, progress)
     answer = {"told": tally.told(), "line": tally.line(), "moment": tally.moment}
@@ -108,6 +108,18 @@ def _answer(
 def _kept(asked: Asked, key: str) -> Path | None:
     """Where the answer is kept. That of `runs` is not: its files are part of it."""
     return None if asked.out is None or asked.runs else asked.out / "tallies" / f"{key}.json"
+
+
+def _read(path: Path | None) -> Answer | None:
+    """What is kept there; None where nothing is, or where it was damaged since: it is worked out again."""
+    if path is None or not path.is_file():
+        return None
+    try:
+        table = json.loads(path.read_text())
+    except ValueError:
+        return None
+    sound = isinstance(table, dict) and table.get("schema") == TALLY_SCHEMA and "answer" in table
+    return table["answer"] if sound else None
 
 
 def _keys(pairs: Sequence[tuple[str, str]], asked: Asked) -> list[str]:
